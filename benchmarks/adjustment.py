@@ -35,7 +35,7 @@ from mocap_calib.geometry.rotation import (
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.rig.observations import gather_observations
+from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.synthetic import simulate
 from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
@@ -134,7 +134,7 @@ def peer(
 
 def as_problem(recording: Sample, start: CameraRig, matches: Matches) -> dict[str, Floats]:
     """Return the arrays that the peers are given, as adjustment_peers.py says."""
-    seen = gather_observations(recording, matches, np.arange(len(recording.frames)))
+    seen = gather_tracks(recording, matches, np.arange(len(recording.frames)))
     return {
         "pixels": np.moveaxis(seen.pixels, 1, 2),
         "matrix": np.stack([camera.matrix for camera in start.cameras]),

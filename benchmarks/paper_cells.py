@@ -23,7 +23,7 @@ from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.lift.weights import shipped_weights
 from mocap_calib.pipeline import calibrate
-from mocap_calib.rig.triangulation import triangulate
+from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, Sample, silent
 
 Line = dict[str, Any]

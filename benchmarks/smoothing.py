@@ -32,8 +32,8 @@ from mocap_calib.lift.loading import AUTO, choose_model
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.rig.observations import gather_observations
-from mocap_calib.rig.triangulation import triangulate
+from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import CameraRig, Floats, Matches, Recording
 
 NAMES = (
@@ -107,13 +107,13 @@ def smooth_there(
     recording: Recording, rig: CameraRig, matches: Matches, scratch: Path, work: Path
 ) -> tuple[Floats, float]:
     """Return aniposelib's points `[frame, individual, keypoint, 3]`, and seconds."""
-    seen = gather_observations(recording, matches, np.arange(len(recording.frames)))
+    seen = gather_tracks(recording, matches, np.arange(len(recording.frames)))
     shape = (len(rig), -1, matches.individuals, len(recording.keypoints))
     pixels = np.moveaxis(seen.pixels, 1, 2).reshape(*shape, 2)
     skeleton = load_vocabulary(recording.model)
     tracks = {
         "pixels": np.moveaxis(pixels, 2, 0),
-        "scores": np.moveaxis(seen.confidence.reshape(shape), 2, 0),
+        "scores": np.moveaxis(seen.weight.reshape(shape), 2, 0),
         "edges": np.array(edges_of_keypoints(skeleton, recording.vocabulary)),
         "fisheye": rig.cameras[0].fisheye,
         "matrix": np.stack([camera.matrix for camera in rig.cameras]),

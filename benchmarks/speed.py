@@ -41,7 +41,7 @@ from mocap_calib.adjust.bundle_adjustment import adjust
 from mocap_calib.config import AdjustConfig
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.rig.points import triangulate_pixels
+from mocap_calib.rig.triangulate import triangulate_pixels
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
 TOOL = ["-m", "mocap_calib_cli"]

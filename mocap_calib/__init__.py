@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         Rotated,
         Sides,
     )
-    from mocap_calib.rig.triangulation import triangulate
+    from mocap_calib.rig.triangulate import triangulate
     from mocap_calib.synthetic import Scene, simulate
     from mocap_calib.synthetic.config import SimulateConfig
     from mocap_calib.types import (
@@ -71,7 +71,7 @@ _NAMES = {
     "io.keypoints.read": ("read_keypoints",),
     "io.poses.read": ("read_poses",),
     "verdict.evaluation": ("Evaluation", "evaluate"),
-    "rig.triangulation": ("triangulate",),
+    "rig.triangulate": ("triangulate",),
     "verdict.verify": ("verify",),
     "pipeline": ("calibrate", "match"),
     "recording.corrections": (

@@ -48,7 +48,7 @@ def triangulate(
 ) -> tuple[Floats, Floats]:
     """Return the points `[..., 3]` that pixels `[view, ..., 2]` show, and their errors `[...]`.
 
-    As robust as the triangulation of a run (`rig.points`): a view that contradicts the others is
+    As robust as the triangulation of a run : a view that contradicts the others is
     left out. A point is NaN where fewer than two views agree on it, or see it from almost the same
     side. The error is the RMS reprojection error in pixels over the views that were used.
 
@@ -57,7 +57,7 @@ def triangulate(
 
     Raises ValueError for arrays of other shapes.
     """
-    from mocap_calib.rig.points import triangulate_pixels
+    from mocap_calib.rig.triangulate import triangulate_pixels
 
     middle = np.shape(pixels)[1:-1]
     seen = as_array("pixels", pixels, float, len(rig), *middle, 2)

@@ -41,7 +41,7 @@ from mocap_calib.rig.association import associate, label_all_frames
 from mocap_calib.rig.averaging import average
 from mocap_calib.rig.observed import Observed, leave_out_underconstrained
 from mocap_calib.rig.pair_choice import calibrate_view_graph
-from mocap_calib.rig.triangulation import check_same_cameras
+from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.rig.view_graph import camera_groups, select_hypotheses
 from mocap_calib.training.device import on_device
 from mocap_calib.types import (

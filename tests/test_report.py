@@ -19,7 +19,7 @@ from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.group import REVERSED_RIG, write_group
 from mocap_calib.report import run_report
 from mocap_calib.report_verdict import _of_pairs, verdict_of_cameras
-from mocap_calib.rig.observations import gather_observations
+from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.types import FAULT_WORDS, CalibrationResult, Clocks, TimeOffsets
 from mocap_calib.verdict.verdict import assess
 from mocap_calib_cli.ending import camera_table, describe_group
@@ -223,7 +223,7 @@ def test_the_error_is_what_anipose_calls_one():
         groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
     points = run_report(found, result, seed=0, config=Config(), inputs={})["points"]
-    pixels = gather_observations(found.recording, found.matches, np.arange(60)).pixels
+    pixels = gather_tracks(found.recording, found.matches, np.arange(60)).pixels
     images = project(found.rig, found.poses.raw.reshape(-1, 3).T)
     error = np.linalg.norm(images - pixels, axis=1)
     with warnings.catch_warnings():

@@ -15,8 +15,8 @@ from mocap_calib.config import Config, SampleConfig, TriangulateConfig
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.loading import load_lifter
 from mocap_calib.recording.sampling import take_sample
-from mocap_calib.rig.observations import gather_observations
-from mocap_calib.rig.triangulation import triangulate_rays
+from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.training.device import on_device
 from mocap_calib.types import silent
 
@@ -49,16 +49,16 @@ def test_triangulation_is_a_function_of_blocks():
     """A point comes out the same whatever points are beside it: measured to the last digit."""
     rig, found, noise = (
         scene().rig,
-        gather_observations(recording(), truth(), np.arange(60)),
+        gather_tracks(recording(), truth(), np.arange(60)),
         np.full(4, 2e-3),
     )
     whole, used = triangulate_rays(
-        rig, found.rays, weight=found.confidence, noise=noise, config=TriangulateConfig()
+        rig, found.rays, weight=found.weight, noise=noise, config=TriangulateConfig()
     )
     part, of_part = triangulate_rays(
         rig,
         found.rays[..., 700:901],
-        weight=found.confidence[:, 700:901],
+        weight=found.weight[:, 700:901],
         noise=noise,
         config=TriangulateConfig(),
     )

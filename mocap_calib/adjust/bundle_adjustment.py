@@ -19,8 +19,8 @@ from mocap_calib.kernels.loading import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.noise import MEDIAN_DISTANCE, view_residual
-from mocap_calib.rig.observations import gather_observations, labelled_frames
-from mocap_calib.rig.triangulation import triangulate_rays
+from mocap_calib.rig.tracks import gather_tracks, labelled_frames
+from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import (
     Bools,
     Camera,
@@ -197,9 +197,9 @@ def agreed_points(
     """
     noise, seen = do_both(
         lambda: view_residual(recording, rig, matches, config.triangulate),
-        lambda: gather_observations(recording, matches, frames),
+        lambda: gather_tracks(recording, matches, frames),
     )
-    weight = drop_low_confidence(seen.confidence, config.adjust)
+    weight = drop_low_confidence(seen.weight, config.adjust)
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)

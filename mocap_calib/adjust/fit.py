@@ -8,8 +8,8 @@ from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.geometry.rays import points_in_cameras
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.rig.noise import view_residual
-from mocap_calib.rig.observations import Observations, gather_observations, labelled_frames
-from mocap_calib.rig.triangulation import triangulate_rays
+from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
+from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 
@@ -38,7 +38,7 @@ def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config
     """Return how well the rig fits the matched detections in all frames of the sample."""
     noise = view_residual(sample, rig, matches, config.triangulate)
     seen, points, error = measure_distances(sample, rig, matches, noise, config)
-    counted = (seen.confidence > 0) & np.isfinite(points[0])
+    counted = (seen.weight > 0) & np.isfinite(points[0])
     focal = np.array([camera.focal for camera in rig.cameras])
     return Fit(
         misfit=_misfit(error[counted], config.uncertainty.misfit_limit),
@@ -51,17 +51,15 @@ def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config
 
 def measure_distances(
     sample: Sample, rig: CameraRig, matches: Matches, noise: Floats, config: Config
-) -> tuple[Observations, Floats, Floats]:
+) -> tuple[Tracks, Floats, Floats]:
     """Return what is matched, the points that it is of, and how far apart the two are.
 
     noise: `[view]` in radians. Points `[3, N]`; distances `[view, N]` in pixels, NaN = not known.
     """
-    seen = gather_observations(sample, matches, labelled_frames(matches))
+    seen = gather_tracks(sample, matches, labelled_frames(matches))
     # what does not fit is to be counted, not left out
     all_rays = replace(config.triangulate, outlier=np.inf)
-    points, _ = triangulate_rays(
-        rig, seen.rays, weight=seen.confidence, noise=noise, config=all_rays
-    )
+    points, _ = triangulate_rays(rig, seen.rays, weight=seen.weight, noise=noise, config=all_rays)
     return seen, points, np.linalg.norm(project(rig, points) - seen.pixels, axis=1)
 
 

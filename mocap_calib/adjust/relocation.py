@@ -15,9 +15,9 @@ from mocap_calib.adjust.resection import (
 from mocap_calib.config import Config
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig.observations import gather_observations, labelled_frames
 from mocap_calib.rig.placed import PlacedCameras, choose_frames, place_bodies
-from mocap_calib.rig.triangulation import triangulate_rays
+from mocap_calib.rig.tracks import gather_tracks, labelled_frames
+from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import CameraRig, Floats, Ints, Sample
 
 _REFINED = 8  # poses that are refined, of those that single detections ask for
@@ -79,8 +79,8 @@ class KnownPoints:
 def place_points(sample: Sample, placed: PlacedCameras, views: Ints, config: Config) -> KnownPoints:
     """Return the points that some views (indices) place, as the rig has these cameras."""
     frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
-    seen = gather_observations(sample, placed.matches, frames)
-    weight = np.where(np.isin(np.arange(len(placed.rig)), views)[:, None], seen.confidence, 0.0)
+    seen = gather_tracks(sample, placed.matches, frames)
+    weight = np.where(np.isin(np.arange(len(placed.rig)), views)[:, None], seen.weight, 0.0)
     # the rig may be a little off for all: what disagrees by more is wrong
     tolerance = config.adjust.outlier_tolerance * config.triangulate.outlier
     points, _ = triangulate_rays(

@@ -14,8 +14,8 @@ from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.recording.stretches import usual_step
-from mocap_calib.rig.observations import gather_observations
-from mocap_calib.rig.triangulation import triangulate
+from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording
 
 _PASSES = 2  # the second triangulates what the first has brought nearer together
@@ -65,7 +65,7 @@ def held_out_error(
         recording, positions=np.where(held_out[..., None], recording.positions, np.nan)
     )
     tested = _move_detections(tested, rig, matches, poses, -tau)
-    seen = gather_observations(tested, matches, np.arange(len(recording.frames)))
+    seen = gather_tracks(tested, matches, np.arange(len(recording.frames)))
     gap = project(rig, poses.positions.reshape(-1, 3).T) - seen.pixels
     focal = np.array([camera.focal for camera in rig.cameras])
     error = np.sqrt((gap**2).sum(1)) / focal[:, None]

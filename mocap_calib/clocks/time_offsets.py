@@ -28,7 +28,7 @@ from mocap_calib.config import Config, SubframeConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.stretches import usual_step
 from mocap_calib.rig.labels import per_frame_labels
-from mocap_calib.rig.observations import labelled_frames
+from mocap_calib.rig.tracks import labelled_frames
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording, TimeOffsets
 
 _COUNTED_FRAMES = 200  # that tell how many points a frame has

@@ -139,4 +139,4 @@ def _errors(sample: Sample, rig: CameraRig, matches: Matches, config: Config) ->
     """Return the distances `[view, N]` in pixels of keypoints from the points; NaN = missing."""
     noise = view_residual(sample, rig, matches, config.triangulate)
     seen, _, error = measure_distances(sample, rig, matches, noise, config)
-    return np.where(seen.confidence > 0, error, np.nan)
+    return np.where(seen.weight > 0, error, np.nan)

@@ -10,13 +10,13 @@ from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.noise import view_noise
-from mocap_calib.rig.observations import (
-    Observations,
-    gather_observations,
+from mocap_calib.rig.observed import Observed
+from mocap_calib.rig.tracks import (
+    Tracks,
+    gather_tracks,
     labelled_frames,
 )
-from mocap_calib.rig.observed import Observed
-from mocap_calib.rig.triangulation import triangulate_rays
+from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import (
     Bools,
     CalibrationResult,
@@ -168,13 +168,13 @@ def _hold_against_others(
     count = max(round(diagnosis.suspicious_frames / large), diagnosis.suspicious_least_frames)
     frames = evenly_spaced(labelled_frames(matches), count)
     noise = view_noise(sample, rig, matches, config.triangulate)
-    seen = gather_observations(sample, matches, frames)
+    seen = gather_tracks(sample, matches, frames)
     views = len(rig)
     angles, significance = np.full(views, np.nan), np.zeros(views)
     exchanged = np.zeros(views)
     keypoints = len(sample.keypoints)
     for view, camera in enumerate(rig.cameras):
-        others = np.where(_detections_of(seen, view, keypoints), seen.confidence, 0.0)
+        others = np.where(_detections_of(seen, view, keypoints), seen.weight, 0.0)
         others[view] = 0.0
         points, _ = triangulate_rays(
             rig, seen.rays, weight=others, noise=noise, config=config.triangulate
@@ -202,7 +202,7 @@ def _hold_against_others(
     return np.nan_to_num(angles / others_angle, nan=np.inf), exchanged, significance
 
 
-def _detections_of(seen: Observations, view: int, keypoints: int) -> Bools:
+def _detections_of(seen: Tracks, view: int, keypoints: int) -> Bools:
     """Return `[N]` whether a view sees anything of the body that each point is of."""
     bodies = np.isfinite(seen.pixels[view, 0]).reshape(-1, keypoints).any(1)
     return np.repeat(bodies, keypoints)

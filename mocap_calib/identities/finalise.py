@@ -33,7 +33,7 @@ from mocap_calib.rig.tracking import (
     reuse_names,
     sort_by_presence,
 )
-from mocap_calib.rig.triangulation import frame_blocks, triangulate_frames
+from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
 
 

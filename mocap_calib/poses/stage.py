@@ -33,7 +33,7 @@ from mocap_calib.poses.track import (
 )
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.rig.noise import view_noise
-from mocap_calib.rig.observations import gather_observations
+from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.types import (
     Bools,
     CameraRig,
@@ -144,7 +144,7 @@ class _Scene:
         """
         own = Matches(np.where(self.matches.labels[:, frames] == who.index, 0, -1))
         recording = self.recording.select(frames=frames)
-        seen = gather_observations(recording, own, np.arange(len(frames)))
+        seen = gather_tracks(recording, own, np.arange(len(frames)))
         (detections,) = detections_of(
             self.rig,
             seen,

@@ -8,7 +8,7 @@ from mocap_calib import mapped
 from mocap_calib.compute.medians import known_medians
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import TriangulateConfig
-from mocap_calib.rig.triangulation import frame_blocks, triangulate_frames
+from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording
 
 _MEDIAN_SQUARE = 0.455  # of normal errors of variance 1

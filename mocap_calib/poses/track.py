@@ -11,7 +11,7 @@ import numpy as np
 
 from mocap_calib.config import PosesConfig
 from mocap_calib.geometry.rays import rays_in_world
-from mocap_calib.rig.observations import Observations
+from mocap_calib.rig.tracks import Tracks
 from mocap_calib.types import POINT_SOURCES, Bools, CameraRig, Floats, Ints
 
 _TRIANGULATED = POINT_SOURCES.index("triangulated")
@@ -72,7 +72,7 @@ class Body:
 
 
 def detections_of(
-    rig: CameraRig, seen: Observations, noise: Floats, *, individuals: int, keypoints: int
+    rig: CameraRig, seen: Tracks, noise: Floats, *, individuals: int, keypoints: int
 ) -> list[Detections]:
     """Return the detections of each individual.
 
@@ -81,7 +81,7 @@ def detections_of(
     seen: of N = frames x individuals x keypoints. noise: `[view]` in radians.
     """
     rays = rays_in_world(rig, seen.rays)  # [view, 3, N]
-    known = np.isfinite(seen.rays[:, 0]) & (seen.confidence > 0)
+    known = np.isfinite(seen.rays[:, 0]) & (seen.weight > 0)
     precision = known / noise[:, None] ** 2
     views = len(rig)
     rays = rays.reshape(views, 3, -1, individuals, keypoints).transpose(3, 1, 0, 4, 2)

@@ -17,7 +17,7 @@ from mocap_calib.config import (
     FACTORIZATION_VIEWS,
 )
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.rig.observations import gather_observations
+from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
 
 _REVERSE_DEPTH = np.diag([1.0, 1.0, -1.0])
@@ -49,9 +49,9 @@ def factorise(sample: Sample, matches: Matches) -> tuple[CameraRig, ...]:
 
 def _image_points(sample: Sample, matches: Matches) -> Floats:
     """Return `[view, point, 2]` x / z, y / z of the points that all views see."""
-    seen = gather_observations(sample, matches, np.arange(len(sample.frames)))
+    seen = gather_tracks(sample, matches, np.arange(len(sample.frames)))
     rays = np.swapaxes(seen.rays, 1, 2)
-    in_front: Bools = (seen.confidence > 0) & (rays[..., 2] > 0)
+    in_front: Bools = (seen.weight > 0) & (rays[..., 2] > 0)
     everywhere = np.flatnonzero(in_front.all(0))
     return rays[:, everywhere, :2] / rays[:, everywhere, 2:]
 

@@ -1,4 +1,4 @@
-"""List the detections that each triangulated point was made of, for bundle adjusters."""
+"""List the detections of triangulated points, for other bundle adjusters."""
 
 from functools import partial
 
@@ -7,7 +7,7 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.rig.noise import view_noise
-from mocap_calib.rig.triangulation import frame_blocks, triangulate_frames
+from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, ObservedPoints, Recording
 
 

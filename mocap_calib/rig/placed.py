@@ -8,9 +8,9 @@ from mocap_calib.config import Config
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.noise import view_noise
-from mocap_calib.rig.observations import Observations, gather_observations
 from mocap_calib.rig.observed import Observed
-from mocap_calib.rig.triangulation import triangulate_rays
+from mocap_calib.rig.tracks import Tracks, gather_tracks
+from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import (
     CameraRig,
     Floats,
@@ -78,12 +78,12 @@ class Look:
 
     frames: Ints
     keypoints: int
-    seen: Observations
+    seen: Tracks
 
     @classmethod
     def at(cls, recording: Recording, placed: PlacedCameras, frames: Ints) -> "Look":
         """Return a look at some frames (indices)."""
-        seen = gather_observations(recording, placed.matches, frames)
+        seen = gather_tracks(recording, placed.matches, frames)
         return cls(frames, len(recording.keypoints), seen)
 
     def place(self, placed: PlacedCameras, config: Config, without: int | None = None) -> Floats:
@@ -91,7 +91,7 @@ class Look:
 
         without: a view whose rays do not count.
         """
-        weight = self.seen.confidence.copy()
+        weight = self.seen.weight.copy()
         if without is not None:
             weight[without] = 0.0
         points, _ = triangulate_rays(

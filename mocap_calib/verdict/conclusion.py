@@ -9,7 +9,7 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.pairs.solve import in_recording
 from mocap_calib.rig.observed import Observed
-from mocap_calib.rig.triangulation import triangulate
+from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import (
     Adjusted,
     Averaged,

@@ -9,7 +9,7 @@ from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig.observations import matched_pixels
+from mocap_calib.rig.tracks import matched_pixels
 from mocap_calib.types import (
     CalibrationResult,
     Camera,

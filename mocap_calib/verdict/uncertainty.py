@@ -25,7 +25,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.gauge import project_out_similarity, rig_change, rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.recording.sampling import with_cameras
-from mocap_calib.rig.observations import labelled_frames
+from mocap_calib.rig.tracks import labelled_frames
 from mocap_calib.types import (
     Camera,
     CameraRig,

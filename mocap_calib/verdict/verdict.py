@@ -13,7 +13,7 @@ import numpy as np
 from mocap_calib.config import EPOCH_MARK, Config
 from mocap_calib.recording.corrections import Cropped
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig.observations import labelled_frames
+from mocap_calib.rig.tracks import labelled_frames
 from mocap_calib.types import (
     Bools,
     CalibrationResult,

@@ -26,7 +26,7 @@ from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.rig.association import associate
 from mocap_calib.rig.labels import matched_share
 from mocap_calib.rig.placed import PlacedCameras
-from mocap_calib.rig.triangulation import check_same_cameras
+from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.training.device import on_device
 from mocap_calib.types import (
     Adjusted,

@@ -18,7 +18,7 @@ from mocap_calib.config import Config
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.stretches import usual_step
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.rig.triangulation import triangulate
+from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.synthetic import Scene, simulate
 from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import CameraRig, Floats, Matches, Recording

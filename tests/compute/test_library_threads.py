@@ -12,7 +12,8 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.pairs import solve
 from mocap_calib.poses import stage
-from mocap_calib.rig import association, triangulation
+from mocap_calib.rig import association
+from mocap_calib.rig import triangulate as triangulation
 from mocap_calib.types import silent
 
 

@@ -15,7 +15,7 @@ from scenes import MIRROR, recording, scene, told, truth
 
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.poses import stage
-from mocap_calib.rig.triangulation import triangulate
+from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import CameraRig, Matches, Poses3D, Recording, Smoothing
 
 law = settings(max_examples=4, deadline=None, derandomize=True)

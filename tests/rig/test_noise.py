@@ -7,9 +7,8 @@ from scenes import recording, scene, truth
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.rig.noise import MEDIAN_DISTANCE, view_noise, view_residual
-from mocap_calib.rig.observations import gather_observations, observe
-from mocap_calib.rig.points import _noise_of_few
-from mocap_calib.rig.triangulation import triangulate
+from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig.triangulate import _noise_of_few, _unproject, triangulate
 
 CHI2_95 = 7.815  # of three degrees of freedom
 CAMERAS = [2, 3, 5]
@@ -31,7 +30,7 @@ def true_points(**changes) -> np.ndarray:
 def true_noise(**changes) -> np.ndarray:
     """Return the median angle `[view]` of rays from where they should go, as `view_noise` does."""
     rig, found = scene(**changes).rig, recording(**changes)
-    seen = gather_observations(found, truth(**changes), np.arange(len(found.frames)))
+    seen = gather_tracks(found, truth(**changes), np.arange(len(found.frames)))
     points = true_points(**changes).reshape(-1, 3).T
     in_camera = rig.rotation @ points + rig.translation[:, :, None]
     exact = in_camera / np.linalg.norm(in_camera, axis=1, keepdims=True)
@@ -87,8 +86,8 @@ def test_views_of_few_points_are_as_noisy_as_all_together():
     pixels += sigma[:, None, None] * rng.normal(size=pixels.shape)
     focal = np.array([camera.focal for camera in rig.cameras])
     known = np.ones(pixels.shape[:2])
-    noise = _noise_of_few(rig, observe(rig.cameras, pixels, known), TriangulateConfig())
+    noise = _noise_of_few(rig, _unproject(rig, pixels), known, TriangulateConfig())
     assert noise[3] * focal[3] > 1.4 * (noise * focal)[:3].max()
     known[3, 20:] = 0.0
-    noise = _noise_of_few(rig, observe(rig.cameras, pixels, known), TriangulateConfig())
+    noise = _noise_of_few(rig, _unproject(rig, pixels), known, TriangulateConfig())
     np.testing.assert_allclose(noise * focal, 0.5, rtol=0.2)

@@ -11,7 +11,7 @@ from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry.reprojection import project, reprojection_error
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.rig.observed_points import observe_points
-from mocap_calib.rig.triangulation import (
+from mocap_calib.rig.triangulate import (
     frame_blocks,
     triangulate,
     triangulate_rays,

@@ -29,7 +29,7 @@ from mocap_calib.identities.finalise import finalise_identities
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.loading import load_lifter
 from mocap_calib.rig.association import associate
-from mocap_calib.rig.triangulation import triangulate
+from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import CameraRig, Uncertainty, silent
 from mocap_calib.verdict.uncertainty import assess_uncertainty
 

@@ -225,7 +225,7 @@ def test_a_large_rig_is_held_against_itself_in_fewer_frames(monkeypatch, times):
     rig = Rig(range(round(times * small)))
     monkeypatch.setattr(suspicion, "labelled_frames", lambda _: np.arange(1000))
     monkeypatch.setattr(suspicion, "view_noise", lambda *_: None)
-    monkeypatch.setattr(suspicion, "gather_observations", lambda *given: frames.append(given[2]))
+    monkeypatch.setattr(suspicion, "gather_tracks", lambda *given: frames.append(given[2]))
     suspicion._hold_against_others(SimpleNamespace(keypoints=()), rig, None, config)
     expected = config.diagnosis.suspicious_frames * min(1.0, small / len(rig)) ** 2
     assert len(frames[0]) == pytest.approx(expected, abs=0.5)

@@ -27,7 +27,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
 
     from mocap_calib.config import PosesConfig, SmoothMode
     from mocap_calib.poses.stage import smooth_poses
-    from mocap_calib.rig.triangulation import triangulate
+    from mocap_calib.rig.triangulate import triangulate
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 

@@ -19,7 +19,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     Example, in the folder examples/three_people:
       mocap-calib triangulate keypoints/ --rig out/cameras.yaml --matches out/matches.csv -o p.h5
     """
-    from mocap_calib.rig.triangulation import triangulate
+    from mocap_calib.rig.triangulate import triangulate
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 

@@ -1,4 +1,4 @@
-"""Triangulate points and poses from the rays of many views, in blocks of frames."""
+"""Triangulate poses of individuals, tracks, and single pixels from the rays of many views."""
 
 from typing import Any
 
@@ -9,13 +9,15 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.errors import MismatchError
+from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import point_covariance
 from mocap_calib.geometry.rays import agreeing_views, rays_in_world
 from mocap_calib.geometry.reprojection import reprojection_error
-from mocap_calib.geometry.view_blocks import POINT_BLOCK, ViewBlock, view_blocks
-from mocap_calib.rig.noise import view_noise
-from mocap_calib.rig.observations import Observations, gather_observations
+from mocap_calib.geometry.view_blocks import POINT_BLOCK, ViewBlock, point_blocks, view_blocks
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.rig.noise import least_noise, measure_errors, view_noise
+from mocap_calib.rig.tracks import Tracks, gather_tracks
 from mocap_calib.types import (
     Bools,
     CameraRig,
@@ -28,6 +30,8 @@ from mocap_calib.types import (
     Recording,
     silent,
 )
+
+_LEAST_POINTS = 30  # of a view: with fewer, the noise of all views together is taken
 
 
 @single_threaded_libraries()
@@ -111,17 +115,15 @@ def triangulate_frames(
     matches: Matches,
     noise: Floats,
     config: TriangulateConfig,
-) -> tuple[Observations, Floats, Bools]:
-    """Return what is seen in the frames with these indices, and the points that it is of.
+) -> tuple[Tracks, Floats, Bools]:
+    """Return the tracks of some frames (indices) and their points.
 
     noise: `[view]` standard deviations in radians, see `view_noise`.
-    Returns the detections; `[3, N]` points in world coordinates, NaN = unknown; and `[view, N]`
-    the detections that each is made of.
+    Returns the tracks; `[3, N]` points in world coordinates, NaN = unknown; and `[view, N]`
+    which detections each point is made of.
     """
-    seen = gather_observations(recording, matches, frames)
-    points, used = triangulate_rays(
-        rig, seen.rays, weight=seen.confidence, noise=noise, config=config
-    )
+    seen = gather_tracks(recording, matches, frames)
+    points, used = triangulate_rays(rig, seen.rays, weight=seen.weight, noise=noise, config=config)
     return seen, points, used
 
 
@@ -139,7 +141,7 @@ def _triangulate_block(
         frames, recording=recording, rig=rig, matches=matches, noise=noise, config=config
     )
     error = reprojection_error(rig, points, pixels=seen.pixels, used=used)
-    views, weight = used.sum(0), seen.confidence * used
+    views, weight = used.sum(0), seen.weight * used
     covariance = _covariance(rig, points, seen.rays, weight=weight, noise=noise)
     shape = (len(frames), matches.individuals, len(recording.keypoints))
     return Poses3D(
@@ -230,3 +232,64 @@ def _share_left(views: int) -> Floats:
     `[count]`, of no view up to all. The point takes three of the 2 V numbers.
     """
     return np.sqrt(1 - 3 / (2 * np.maximum(np.arange(views + 1), 2)))
+
+
+# Single pixels
+
+
+def triangulate_pixels(
+    rig: CameraRig,
+    pixels: Floats,
+    confidence: Floats,
+    config: TriangulateConfig = TriangulateConfig(),
+) -> tuple[Floats, Floats]:
+    """Return the points `[..., 3]` that pixels show, in the rig's unit, and their errors `[...]`.
+
+    Of each point by itself, as `triangulate` does it: no points need belong together. A view of
+    which few points are known is taken to be as noisy as all views together.
+
+    pixels: `[view, ..., 2]`, NaN = missing. confidence: `[view, ...]`, 0 = missing.
+
+    Errors are RMS reprojection errors in pixels over the views that were used.
+    """
+    shape = confidence.shape[1:]
+    flat = pixels.reshape(len(rig), -1, 2)
+    weight = np.where(np.isfinite(flat).all(-1), np.nan_to_num(confidence.reshape(len(rig), -1)), 0)
+    count = flat.shape[1]
+    sample = evenly_spaced(np.arange(count), POINT_BLOCK)
+    noise = _noise_of_few(rig, _unproject(rig, flat[:, sample]), weight[:, sample], config)
+
+    def triangulate_block(block: slice) -> tuple[Floats, Floats]:
+        """Return points `[3, n]` and errors `[n]` of some of the points."""
+        own = flat[:, block]
+        points, used = triangulate_rays(
+            rig, _unproject(rig, own), weight=weight[:, block], noise=noise, config=config
+        )
+        return points, reprojection_error(rig, points, pixels=np.moveaxis(own, -1, 1), used=used)
+
+    found = list(map_in_threads(triangulate_block, point_blocks(count)))
+    points = np.concatenate([block for block, _ in found], axis=1)
+    error = np.concatenate([block for _, block in found])
+    return points.T.reshape(*shape, 3), error.reshape(shape)
+
+
+def _unproject(rig: CameraRig, pixels: Floats) -> Floats:
+    """Return the rays `[view, 3, N]` of pixels `[view, N, 2]`."""
+    return lens.unproject_views(rig.cameras, pixels, by_component=True)
+
+
+def _noise_of_few(
+    rig: CameraRig, rays: Floats, weight: Floats, config: TriangulateConfig
+) -> Floats:
+    """Return the robust standard deviation `[view]` of each view's angular error, in radians.
+
+    The median of few points is not robust: views with few have that of all views together.
+    """
+    error, counted = measure_errors(rig, rays, weight, config)
+    together = config.unknown_noise
+    if counted.any():
+        together = float(np.median(error[counted]))
+    noise = np.full(len(rig), together)
+    for view in np.flatnonzero(counted.sum(1) >= _LEAST_POINTS):
+        noise[view] = np.median(error[view, counted[view]])
+    return np.maximum(noise, least_noise(rig, config))
