@@ -23,8 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.adjust.bundle_adjustment import adjust
 from mocap_calib.adjust.ceres import adjust_by_ceres
+from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.geometry.rotation import (
     angle_between,

@@ -37,7 +37,7 @@ from adjustment import (
 from machines import describe_machine
 from recording_folders import add_recordings
 
-from mocap_calib.adjust.bundle_adjustment import adjust
+from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import AdjustConfig
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector

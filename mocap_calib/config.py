@@ -470,9 +470,9 @@ class AdjustConfig:
     """Bundle adjustment. Loss scales are in standard deviations of each view's own residuals."""
 
     points: int = 20_000
-    # Rays this many times farther off than an outlier of triangulation may still constrain a point:
-    # the rig is not yet right, and the robust loss deals with outliers.
-    outlier_tolerance: float = 5.0
+    # Standard deviations beyond which a ray does not constrain a point. Far more than an outlier of
+    # triangulation: the rig is not yet right, and the robust loss deals with outliers.
+    outlier: float = 20.0
     # One after the other, to tighten the loss. Normal errors are used with 97 % of the efficiency
     # that there can be at 3, with 86 % at 1.5, which is safer from wrong ones. The last one of the
     # two under which the rig's variance is estimated to be less is used.
@@ -492,18 +492,6 @@ class AdjustConfig:
 
 # what minimises the reprojection error; the first is the default
 ADJUST_SOLVERS = ("schur", "colmap")
-
-# Levenberg and Marquardt's iteration: steps at most, and the damping of the first step
-LM_STEPS = 50
-LM_FIRST_DAMPING = 1e-4
-LM_DAMPING_FACTOR = 10.0  # more damping after a step that raised the cost, less after another
-LM_LEAST_DAMPING = 1e-10
-LM_MOST_DAMPING = 1e8  # beyond it no step lowers the cost
-# Points settle after each step of the cameras, in so many steps of their own at most, until one
-# lowers the cost by less than so much, in squared standard deviations
-LM_POINT_STEPS = 10
-LM_POINT_GAIN = 1e-4
-
 
 # what of the intrinsics may be estimated
 Refinement = Literal["none", "focal", "focal+k1"]
@@ -650,19 +638,9 @@ class UncertaintyConfig:
     time_blocks: int = 20  # stretches of the recording within which errors go together
     points: int = 2500  # that the covariance of a rig is found with
     least_distance: float = 0.02  # of a point from a camera, in usual ones
-    # of a robust cost, as a share of one whose weights stay as they are. Measured: 0.31 to 0.68 in
-    # the direction of least curvature, 0.63 to 0.75 on average
-    least_curvature: float = 0.2
     # of freedom that its estimate counts as having at least: with fewer, a region has no bound to
     # speak of, and the check of the moments is for these
     least_degrees: float = 6.0
-    # Two frames show the same moment where joints have moved by less on average, in sizes of their
-    # bodies. Measured, of frames taken at random: none where people and animals go about, 2 to 11 %
-    # where some of them stay, 20 to 45 % where hardly anybody moves or a fly is tethered, all where
-    # a mouse sits.
-    same_moment: float = 0.1
-    compared_moments: int = 16  # frames
-    compared_views: int = 6
     parts: int = 5  # of the recording, that a rig is adjusted without,
     moments_of_a_part: int = 4  # at least
     splits: int = 3  # of the joints into halves, that the rig is adjusted to

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.adjust.estimated_cameras import estimate_cameras
-from mocap_calib.adjust.refinement import adjust_from_best_start
+from mocap_calib.adjust.refine import adjust_from_best_start
 from mocap_calib.clocks.common_clock import synchronise
 from mocap_calib.clocks.subframe import settle_clocks
 from mocap_calib.compute.clock import Clock

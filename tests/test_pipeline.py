@@ -20,7 +20,7 @@ from scenes import (
     scene,
 )
 
-from mocap_calib.adjust.refinement import adjust_until_stable
+from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.recording.synchronise import make_recording

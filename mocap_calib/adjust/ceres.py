@@ -1,6 +1,6 @@
 """Bundle adjustment by Ceres through pycolmap: an independent second opinion on a rig.
 
-The same points, detections and loss as in `bundle_adjustment`; another solver (Ceres) of other
+The same points, detections and loss as in `refine.adjust_once`; another solver (Ceres) of other
 residuals (pixels through COLMAP's lens models, where ours are taken at the rays).
 """
 
@@ -9,12 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 
-from mocap_calib.adjust.bundle_adjustment import (
-    AdjustablePoints,
-    choose_points,
-    wider_scales,
-    with_size_of,
-)
+from mocap_calib.adjust.problem import Problem, choose_problem, wider_scales
+from mocap_calib.adjust.refine import with_size_of
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.geometry.colmap import build_model, silent_colmap
@@ -35,15 +31,15 @@ def adjust_by_ceres(
 ) -> CameraRig:
     """Return the rig that minimises the robust reprojection error of the matched detections.
 
-    Takes, keeps and raises what `bundle_adjustment.adjust_once` does. All detections count the
+    Takes, keeps and raises what `refine.adjust_once` does. All detections count the
     same.
     """
-    points = choose_points(sample, rig, matches, config)
-    model = _build_model(rig, points)
+    problem = choose_problem(sample, rig, matches, config)
+    model = _build_model(problem)
     if not already_close:
-        for wider in wider_scales(config.adjust, points.loss_scale):
+        for wider in wider_scales(config.adjust, problem.loss_scale):
             _solve(model, loss_scale=wider, tolerance=config.adjust.rough_tolerance)
-    _solve(model, loss_scale=points.loss_scale, tolerance=config.adjust.tolerance)
+    _solve(model, loss_scale=problem.loss_scale, tolerance=config.adjust.tolerance)
     poses = [model.image(view + 1).cam_from_world() for view in range(len(rig.cameras))]
     adjusted = replace(
         rig,
@@ -54,17 +50,18 @@ def adjust_by_ceres(
     return with_size_of(rig, adjusted)
 
 
-def _build_model(rig: CameraRig, points: AdjustablePoints) -> pycolmap.Reconstruction:
+def _build_model(problem: Problem) -> pycolmap.Reconstruction:
     """Return the model of the points, its images resized so that the usual error is 1 in all.
 
     COLMAP has one loss for all images, and ours is in standard deviations of each view.
     """
+    rig, tracks = problem.rig, problem.tracks
     focal = np.array([camera.focal for camera in rig.cameras])
-    scale = 1 / (points.noise * focal)
+    scale = 1 / (problem.noise * focal)
     cameras = [_resize(camera, size) for camera, size in zip(rig.cameras, scale, strict=True)]
-    view, point = np.nonzero(points.used)
-    pixels = _resize_pixels(points.pixels[view, :, point], scale[view, None])
-    observed = ObservedPoints(points.points.T, view, point, pixels)
+    view, point = np.nonzero(tracks.used)
+    pixels = _resize_pixels(tracks.pixels[view, :, point], scale[view, None])
+    observed = ObservedPoints(problem.points.T, view, point, pixels)
     return build_model(replace(rig, cameras=tuple(cameras)), observed)
 
 

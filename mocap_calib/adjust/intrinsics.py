@@ -10,19 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.bundle_adjustment import (
-    choose_points,
-    minimise_in_steps,
-    placed_as,
-)
 from mocap_calib.adjust.covariance import Covariance, find_covariance
-from mocap_calib.adjust.freedom import Freedom, free_intrinsics
-from mocap_calib.adjust.pixel_residuals import PixelObservations, changed_cameras
-from mocap_calib.adjust.residuals import State
-from mocap_calib.adjust.schur import settle_points
+from mocap_calib.adjust.parameters import Parameters, free_intrinsics
+from mocap_calib.adjust.problem import choose_problem, solve
+from mocap_calib.adjust.refine import placed_as
+from mocap_calib.adjust.residuals import State, changed_cameras
+from mocap_calib.adjust.solve import optimise_points
 from mocap_calib.config import SAME_IMAGE_SIZE, Config, IntrinsicsConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.kernels.loading import contiguous
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.rig.association import associate, have_same_groups
 from mocap_calib.types import (
@@ -119,7 +114,7 @@ def free_focal_lengths(
     more than a few standard deviations, which are 1 to 2 % in rigs of four views and far more in
     those of two.
 
-    Raises as `bundle_adjustment.adjust` does.
+    Raises as `refine.adjust` does.
     """
     alone = replace(IntrinsicsConfig(), refine="focal", focal_per_camera=True)
     start = _start(sample, rig, matches, alone)
@@ -209,7 +204,7 @@ def _adjust_once(
     already_close: it follows another such adjustment.
     """
     adjusted = _adjust(found, given.cameras, config, already_close=already_close)
-    cameras = changed_cameras(given.cameras, adjusted.state)
+    cameras = changed_cameras(given.cameras, adjusted.state.intrinsics)
     rig = placed_as(replace(found.rig, cameras=cameras), adjusted.state)
     sample = with_cameras(given, cameras)
     return _Estimate(
@@ -226,29 +221,31 @@ def _adjust(
     found: _Estimate, given: tuple[Camera, ...], config: Config, *, already_close: bool
 ) -> _Adjusted:
     """Adjust poses and intrinsics together to the detections that are matched."""
-    points = choose_points(found.sample, found.rig, found.matches, config)
-    focal = np.array([camera.focal for camera in found.rig.cameras])
-    pixels, weight = contiguous(np.nan_to_num(points.pixels), points.weight)
-    seen = PixelObservations(
-        cameras=given, pixels=pixels, sigma=points.noise * focal, weight=weight
+    budget = config.uncertainty.points if already_close else None
+    problem = choose_problem(found.sample, found.rig, found.matches, config, points=budget)
+    seen, scale = problem.pixels(given), problem.loss_scale
+    free = _free_parameters(found, given, config.intrinsics)
+    start = problem.start(found.change)
+    state = solve(start, seen, free, config.adjust, loss_scale=scale, already_close=already_close)
+    state = optimise_points(state, seen, loss_scale=scale)
+    covariance = find_covariance(
+        state,
+        seen,
+        free,
+        period=problem.tracks.time_blocks(config.uncertainty.time_blocks),
+        joint=problem.tracks.keypoint,
+        scale=scale,
     )
-    freedom = _freedom(found, given, config.intrinsics)
-    start = State(found.rig.rotation, found.rig.translation, points.points, found.change)
-    last = points.loss_scale
-    state = minimise_in_steps(
-        start, seen, freedom, config.adjust, loss_scale=last, already_close=already_close
-    )
-    state = settle_points(state, seen, loss_scale=last)
-    clusters = points.time_blocks(config.uncertainty.time_blocks), points.keypoint
-    covariance = find_covariance(state, seen, freedom, clusters=clusters, loss_scale=last)
     return _Adjusted(
         state=state,
-        sigma=_sigma(covariance, freedom, found.overconfidence),
-        overconfidence=_overconfidence(covariance, freedom, config.intrinsics),
+        sigma=_sigma(covariance, free, found.overconfidence),
+        overconfidence=_overconfidence(covariance, free, config.intrinsics),
     )
 
 
-def _freedom(found: _Estimate, given: tuple[Camera, ...], config: IntrinsicsConfig) -> Freedom:
+def _free_parameters(
+    found: _Estimate, given: tuple[Camera, ...], config: IntrinsicsConfig
+) -> Parameters:
     """Return what may change, and how likely that is beside detections that count too much.
 
     The detections' weight is what it would be if they erred independently, so what is known
@@ -259,39 +256,39 @@ def _freedom(found: _Estimate, given: tuple[Camera, ...], config: IntrinsicsConf
     return free_intrinsics(shared_intrinsics(given, config), sigma)
 
 
-def _overconfidence(covariance: Covariance, freedom: Freedom, config: IntrinsicsConfig) -> Floats:
+def _overconfidence(covariance: Covariance, free: Parameters, config: IntrinsicsConfig) -> Floats:
     """Return by how much the variance of intrinsics is larger than that of independent errors.
 
     `[view, intrinsic]`, of what the detections alone say: with s the scatter of an unknown's
     gradient and h its curvature, both with all other unknowns eliminated, the variances are
     s / h^2 and 1 / h.
     """
-    own = freedom.intrinsics
-    variance = np.diag(covariance.bread)[own]
-    scatter = np.diag(covariance.sandwich)[own] / variance**2
-    curvature = 1 / variance - _prior(freedom)
+    own = free.intrinsics
+    variance = np.diag(covariance.independent)[own]
+    scatter = np.diag(covariance.whole)[own] / variance**2
+    curvature = 1 / variance - _prior(free)
     return np.clip(scatter / np.maximum(curvature, 1e-12), 1.0, config.most_overconfidence)
 
 
-def _sigma(covariance: Covariance, freedom: Freedom, overconfidence: Floats) -> Floats:
+def _sigma(covariance: Covariance, free: Parameters, overconfidence: Floats) -> Floats:
     """Return the standard deviation `[view, intrinsic]` of intrinsics after the adjustment.
 
     Detections and what is known beforehand both have their part in it. The latter was made to
     weigh more by the factor of the overconfidence, so its gradient scatters by that factor more
     than it weighs.
     """
-    own = freedom.intrinsics
-    prior = np.zeros(len(covariance.bread))
-    prior[own] = _prior(freedom) * overconfidence
-    whole = covariance.sandwich + (covariance.bread * prior) @ covariance.bread
+    own = free.intrinsics
+    prior = np.zeros(len(covariance.independent))
+    prior[own] = _prior(free) * overconfidence
+    whole = covariance.whole + (covariance.independent * prior) @ covariance.independent
     return np.sqrt(np.diag(whole)[own])
 
 
-def _prior(freedom: Freedom) -> Floats:
+def _prior(free: Parameters) -> Floats:
     """Return the inverse variance `[view, intrinsic]` that intrinsics had in the adjustment."""
-    own = freedom.intrinsics
-    whole = np.zeros(freedom.basis.shape[1])
-    np.add.at(whole, own, freedom.precision)  # each view has its part
+    own = free.intrinsics
+    whole = np.zeros(free.basis.shape[1])
+    np.add.at(whole, own, free.precision)  # each view has its part
     return whole[own]
 
 

@@ -82,13 +82,12 @@ def place_points(sample: Sample, placed: PlacedCameras, views: Ints, config: Con
     seen = gather_tracks(sample, placed.matches, frames)
     weight = np.where(np.isin(np.arange(len(placed.rig)), views)[:, None], seen.weight, 0.0)
     # the rig may be a little off for all: what disagrees by more is wrong
-    tolerance = config.adjust.outlier_tolerance * config.triangulate.outlier
     points, _ = triangulate_rays(
         placed.rig,
         seen.rays,
         weight=weight,
         noise=placed.noise,
-        config=replace(config.triangulate, outlier=tolerance),
+        config=replace(config.triangulate, outlier=config.adjust.outlier),
     )
     keypoints, blocks = len(sample.keypoints), config.uncertainty.time_blocks
     rank = np.arange(len(frames)) * blocks // max(len(frames), 1)

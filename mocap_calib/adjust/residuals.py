@@ -1,34 +1,44 @@
-"""Robust cost of cameras and points against what was seen, and its derivatives, in blocks.
+"""Residuals of cameras and points against what was seen: rays, where lenses are known, or pixels.
 
-What was seen are rays, where the lenses are known (`ray_residuals`), or pixels, where they are
-adjusted too (`pixel_residuals`). The loss is Cauchy's.
+The loss is Cauchy's. Points are optimised for fixed cameras, each by itself, and the residuals are
+linearised there (embedded point iterations: Ruhe and Wedin 1980, "Algorithms for Separable
+Nonlinear Least Squares Problems"). Kernels do both, in blocks of points that threads share.
 
-Arrays are kept by component, `[view, component, N]`, so that every step runs along all points at
-once, in blocks of points that threads share.
+Residuals against rays are taken in the plane that touches the unit sphere at the observed ray, to
+first order in pixels: any lens will do, without its derivatives.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
 import numpy as np
 
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.adjust.motion import Motion
+from mocap_calib.geometry import lens
+from mocap_calib.geometry.lens import image_slopes
+from mocap_calib.kernels import settling as kernels
+from mocap_calib.kernels.loading import contiguous
+from mocap_calib.types import Camera, Floats, Ints
 
 _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
+_LENS_ROW = 14  # numbers of a lens, as kernels take it
 
 # Cosine between ray and point that stands for all points behind the camera: such a point fits
 # nothing, and moves nothing.
-BEHIND = 1e-6
+_BEHIND = 1e-6
+_POINT_STEPS = 10  # of a point, at most, until one
+_POINT_GAIN = 1e-4  # lowers its cost by less, in squared standard deviations
 
 
 @dataclass(frozen=True)
 class State:
-    """What is adjusted.
+    """The unknowns of an adjustment.
 
     rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world.
     points: `[3, N]` in world coordinates.
-    intrinsics: `[view, intrinsic]` changes of log focal length and k1; none of either where the
-        lenses are known.
+    intrinsics: `[view, intrinsic]` changes of log focal length and k1, or the offset of the clock
+        in frames; none where all are known.
     """
 
     rotation: Floats
@@ -36,122 +46,267 @@ class State:
     points: Floats
     intrinsics: Floats
 
+    def with_points(self, points: Floats) -> "State":
+        """Return the state with other points `[3, N]`."""
+        return replace(self, points=points)
+
 
 @dataclass(frozen=True)
-class Residuals:
-    """Points about a state as the cameras see them.
+class Linearised:
+    """Residuals of a block of points and their derivatives, times the root of robust weights.
 
-    in_camera: `[view, 3, n]` the points in each camera's frame.
-    depth: `[view, n]` distance along the viewing direction, never zero or below.
+    points: `[3, n]` in world coordinates; in_camera: `[view, 3, n]` in each camera's frame.
+    by_point: `[view, 2, 3, n]` derivatives by the points in each camera's frame.
+    by_intrinsics: `[view, 2, intrinsic, n]`.
     residual: `[view, 2, n]` in standard deviations.
-    behind: `[view, n]` the point is behind the camera.
+    cost: divided by the square of the loss scale.
     """
 
+    points: Floats
     in_camera: Floats
-    depth: Floats
+    by_point: Floats
+    by_intrinsics: Floats
     residual: Floats
-    behind: Bools
+    cost: float
 
 
-@dataclass(frozen=True)
-class Slopes:
-    """Derivatives of the residuals.
-
-    in_camera: `[view, 2, 3, n]` by the points in each camera's frame.
-    intrinsics: `[view, 2, intrinsic, n]`.
-    """
-
-    in_camera: Floats
-    intrinsics: Floats
-
-
-class Observations(Protocol):
-    """What the cameras saw of N points.
-
-    weight: `[view, N]`, 0 = not seen.
-    """
+class Residuals(Protocol):
+    """What the cameras saw of N points, as residuals; weight: `[view, N]`, 0 = not seen."""
 
     @property
     def weight(self) -> Floats:
         """What each detection counts for."""
 
-    def residuals(self, block: slice, state: State) -> Residuals:
-        """Return a block of points as the cameras see them."""
+    def linearise(
+        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
+    ) -> Linearised:
+        """Return the residuals of a block of points about a state, the points optimised first.
 
-    def slopes(self, block: slice, state: State, found: Residuals, weight: Floats, /) -> Slopes:
-        """Return the derivatives of residuals that were found, times a weight `[view, n]`."""
+        steps: of each point, at most; none leaves the points where they are.
+        """
 
     def select(self, points: Ints, /) -> Self:
-        """Return what was seen of some of the points, given their indices."""
+        """Return the residuals of some of the points, given their indices."""
 
     def part(self, views: Ints, block: slice, /) -> Self:
-        """Return what some views saw of a block of points."""
+        """Return the residuals of a block of points in some views."""
 
 
-def blocks_of(points: Floats) -> list[slice]:
-    """Return the blocks of points `[3, N]` that are worked on at a time."""
-    count = points.shape[1]
-    return [slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK)]
+@dataclass(frozen=True)
+class RayResiduals:
+    """Residuals against rays.
+
+    rays: `[view, 3, N]` unit vectors in each camera's frame.
+    metric: `[view, 2, 3, N]` turns a direction into the residual at its ray, in standard
+        deviations.
+    weight: `[view, N]`, 0 = not seen.
+    """
+
+    rays: Floats
+    metric: Floats
+    weight: Floats
+
+    @classmethod
+    def of(
+        cls, cameras: tuple[Camera, ...], rays: Floats, noise: Floats, weight: Floats
+    ) -> "RayResiduals":
+        """Return residuals in standard deviations, to first order those of pixels.
+
+        rays: `[view, 3, N]`, NaN = missing. noise: `[view]` in radians. weight: `[view, N]`.
+        """
+        used = np.asarray(weight > 0)
+        axis = np.array([0.0, 0.0, 1.0])[:, None]
+        rays = np.where(used[:, None], rays, axis)
+        metric = np.zeros((len(rays), 2, *rays.shape[1:]))
+        for view, camera in enumerate(cameras):
+            slopes = _pixels_per_ray(camera, rays[view]) / (noise[view] * camera.focal)
+            metric[view] = np.where(used[view], np.nan_to_num(slopes), 0.0)
+        return cls(*contiguous(rays, metric, weight))
+
+    def select(self, points: Ints) -> "RayResiduals":
+        """Return the residuals of some of the points, given their indices."""
+        return RayResiduals(
+            *contiguous(self.rays[..., points], self.metric[..., points], self.weight[:, points])
+        )
+
+    def part(self, views: Ints, block: slice) -> "RayResiduals":
+        """Return the residuals of a block of points in some views."""
+        rays, metric = self.rays[views, :, block], self.metric[views, :, :, block]
+        return RayResiduals(*contiguous(rays, metric, self.weight[views, block]))
+
+    def linearise(
+        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
+    ) -> Linearised:
+        """Return the residuals about a state, r = M x / (u'x) of a ray u and its metric M."""
+        given = state.translation[:, :, None], self.rays, self.metric, self.weight
+        return _linearise(
+            kernels.settle_rays, given, block, state, loss_scale=loss_scale, steps=steps
+        )
+
+
+@dataclass(frozen=True)
+class TimedRayResiduals:
+    """Residuals of points that move, against the rays of cameras whose clocks differ.
+
+    The one intrinsic of a camera is the offset of its clock in frames.
+    motion: of the points in the world.
+    """
+
+    rays: RayResiduals
+    motion: Motion
+
+    @property
+    def weight(self) -> Floats:
+        """What each detection counts for."""
+        return self.rays.weight
+
+    def select(self, points: Ints) -> "TimedRayResiduals":
+        """Return the residuals of some of the points, given their indices."""
+        return TimedRayResiduals(self.rays.select(points), self.motion.select(points))
+
+    def part(self, views: Ints, block: slice) -> "TimedRayResiduals":
+        """Return the residuals of a block of points in some views."""
+        return TimedRayResiduals(self.rays.part(views, block), self.motion.select(block))
+
+    def linearise(
+        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
+    ) -> Linearised:
+        """Return the residuals about a state, each point where it is at the time of its view."""
+        motion, offset = self.motion.select(block), state.intrinsics[:, 0]
+        shift = np.matmul(state.rotation, motion.displacement(offset))
+        origin = state.translation[:, :, None] + shift
+        given = origin, self.rays.rays, self.rays.metric, self.weight
+        found = _linearise(
+            kernels.settle_rays, given, block, state, loss_scale=loss_scale, steps=steps
+        )
+        velocity = np.matmul(state.rotation, motion.velocity_after(offset))
+        by_offset = np.einsum("vkin,vin->vkn", found.by_point, velocity)[:, :, None]
+        return replace(found, by_intrinsics=np.ascontiguousarray(by_offset))
+
+
+@dataclass(frozen=True)
+class PixelResiduals:
+    """Residuals against pixels, of lenses that are adjusted.
+
+    cameras: with the intrinsics that a state changes: log focal length and, where it has two
+        intrinsics, k1.
+    pixels: `[view, 2, N]`, any number where nothing was seen.
+    sigma: `[view]` standard deviation of a coordinate, in pixels.
+    weight: `[view, N]`, 0 = not seen.
+    """
+
+    cameras: tuple[Camera, ...]
+    pixels: Floats
+    sigma: Floats
+    weight: Floats
+
+    def select(self, points: Ints) -> "PixelResiduals":
+        """Return the residuals of some of the points, given their indices."""
+        pixels, weight = contiguous(self.pixels[..., points], self.weight[:, points])
+        return replace(self, pixels=pixels, weight=weight)
+
+    def part(self, views: Ints, block: slice) -> "PixelResiduals":
+        """Return the residuals of a block of points in some views."""
+        pixels, weight = contiguous(self.pixels[views, :, block], self.weight[views, block])
+        cameras = tuple(self.cameras[view] for view in views)
+        return PixelResiduals(cameras, pixels, self.sigma[views], weight)
+
+    def linearise(
+        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
+    ) -> Linearised:
+        """Return the residuals about a state."""
+        origin = state.translation[:, :, None]
+        given = origin, self._lens_rows(state), self.pixels, self.weight
+        return _linearise(
+            kernels.settle_pixels, given, block, state, loss_scale=loss_scale, steps=steps
+        )
+
+    def _lens_rows(self, state: State) -> Floats:
+        """Return the lenses `[view, 14]` with the intrinsics of a state.
+
+        Kind (1 Brown and Conrady's, 2 fisheye), a pixel, focal lengths and principal point, all in
+        standard deviations, and coefficients.
+        """
+        rows = np.zeros((len(self.cameras), _LENS_ROW))
+        changed = changed_cameras(self.cameras, state.intrinsics)
+        for row, camera, sigma in zip(rows, changed, self.sigma, strict=True):
+            coefficients = camera.distortion[: 4 if camera.fisheye else 8]
+            row[:2] = 2 if camera.fisheye else 1, 1 / sigma
+            row[2:4] = camera.matrix[[0, 1], [0, 1]] / sigma
+            row[4:6] = camera.matrix[:2, 2] / sigma
+            row[6 : 6 + len(coefficients)] = coefficients
+        return rows
+
+
+def changed_cameras(cameras: tuple[Camera, ...], intrinsics: Floats) -> tuple[Camera, ...]:
+    """Return cameras after changes `[view, intrinsic]` of log focal length and k1."""
+    changes = np.zeros((len(cameras), 2))
+    changes[:, : intrinsics.shape[1]] = intrinsics
+    return tuple(
+        lens.change_intrinsics(camera, log_focal=log_focal, k1=k1)
+        for camera, (log_focal, k1) in zip(cameras, changes, strict=True)
+    )
 
 
 @dataclass(frozen=True)
 class Part:
-    """A block of points, and of the cameras those that see it.
+    """A block of points, and the cameras that see it: in a large hall, a few of all.
 
-    views: their indices. block: where the points are in `state` and `seen`.
+    views: their indices. points: the block. block: where it is in `state` and `seen`.
     """
 
     views: Ints
+    points: slice
     block: slice
     state: State
-    seen: Observations
+    seen: Residuals
 
 
-def part_of(block: slice, state: State, seen: Observations) -> Part:
-    """Return a block of points and the cameras that see it: in a large hall, a few of all."""
+def parts_of(state: State, seen: Residuals) -> list[Part]:
+    """Return the blocks of points that are worked on at a time."""
+    count = state.points.shape[1]
+    starts = range(0, count, _BLOCK)
+    return [_part_of(slice(start, min(start + _BLOCK, count)), state, seen) for start in starts]
+
+
+def _part_of(block: slice, state: State, seen: Residuals) -> Part:
+    """Return a block of points and the cameras that see it."""
     views = np.flatnonzero((seen.weight[:, block] > 0).any(1))
     if len(views) in (0, len(seen.weight)):
-        return Part(np.arange(len(seen.weight)), block, state, seen)
+        return Part(np.arange(len(seen.weight)), block, block, state, seen)
     points = state.points[:, block]
-    rotation, translation = state.rotation[views], state.translation[views]
-    own = State(rotation, translation, points, state.intrinsics[views])
-    return Part(views, slice(0, points.shape[1]), own, seen.part(views, block))
+    own = State(state.rotation[views], state.translation[views], points, state.intrinsics[views])
+    return Part(views, block, slice(0, points.shape[1]), own, seen.part(views, block))
 
 
-def points_in_cameras(block: slice, state: State) -> Floats:
-    """Return a block of points in each camera's frame, `[view, 3, n]`."""
-    rotated = np.matmul(state.rotation, state.points[:, block])
-    return rotated + state.translation[:, :, None]
+def _linearise(
+    kernel: Callable[..., float],
+    given: tuple[Floats, ...],
+    block: slice,
+    state: State,
+    *,
+    loss_scale: float,
+    steps: int,
+) -> Linearised:
+    """Return what a kernel makes of a block of points; given: what was seen, as it takes it."""
+    points = state.points[:, block].copy(order="C")
+    (views, intrinsics), count = state.intrinsics.shape, points.shape[1]
+    in_camera, residual = np.empty((views, 3, count)), np.empty((views, 2, count))
+    by_point = np.empty((views, 2, 3, count))
+    by_intrinsics = np.empty((views, 2, intrinsics, count))
+    options = np.array([loss_scale**2, _BEHIND, _POINT_GAIN])
+    given = (*contiguous(state.rotation, *given), options)
+    cost = kernel(block.start, *given, steps, points, in_camera, by_point, by_intrinsics, residual)
+    return Linearised(points, in_camera, by_point, by_intrinsics, residual, cost)
 
 
-def positive_depth(in_camera: Floats, depth: Floats) -> tuple[Floats, Bools]:
-    """Return depths `[view, n]` that are never zero or below, and which points are behind.
+def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:
+    """Return by how many pixels the image moves when rays turn, `[2, 3, N]`.
 
-    in_camera: `[view, 3, n]` the points in each camera's frame.
+    rays: `[3, N]` in the camera's frame; along the ray nothing moves. NaN behind the camera.
     """
-    depth = np.maximum(depth, BEHIND * np.abs(in_camera).max(1))
-    return depth, is_behind(in_camera, depth)
-
-
-def is_behind(in_camera: Floats, depth: Floats) -> Bools:
-    """Return which points are behind their cameras, of depths that were made positive."""
-    return np.asarray(depth <= 2 * BEHIND * np.abs(in_camera).max(1))
-
-
-def slopes_of(
-    block: slice, state: State, seen: Observations, loss_scale: float
-) -> tuple[Residuals, Floats, Slopes]:
-    """Return the residuals of a block of points, their robust weight and weighed derivatives.
-
-    The square root of the weight, `[view, n]`.
-    """
-    found = seen.residuals(block, state)
-    robust = _robust_weight(found, seen.weight[:, block], loss_scale)
-    return found, robust, seen.slopes(block, state, found, robust)
-
-
-def _robust_weight(residuals: Residuals, weight: Floats, loss_scale: float) -> Floats:
-    """Return the square root of Cauchy's weight, w / (1 + r'r / s^2), `[view, n]`."""
-    square = np.einsum("vkn,vkn->vn", residuals.residual, residuals.residual)
-    weight = np.where(residuals.behind, 0.0, weight)
-    return np.sqrt(weight / (1 + square / loss_scale**2))
+    depth = np.where(rays[2] > 1e-9, rays[2], np.nan)
+    image = rays[:2] / depth
+    slopes = image_slopes(camera, image).image / depth
+    along = np.einsum("kin,in->kn", slopes, image)
+    return np.concatenate([slopes, -along[:, None]], axis=1)

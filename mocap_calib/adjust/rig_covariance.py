@@ -1,49 +1,97 @@
-"""How sure the places of the cameras are: the covariance of a rig that was adjusted.
+"""The covariance of the poses of a rig that was adjusted.
 
-Errors of detections go together, by the moment and by the joint (`covariance`). Where a rig stands
-in the world, how it is turned and how large it is means nothing: what counts is how far its
+Position, orientation and size of a rig in the world mean nothing: what counts is how far its
 cameras are from where they should be after the best similarity between the two. So no camera is
-the fixed one, and all have a share of what is not known.
+the fixed one, and all have a share of the uncertainty.
 
-The covariance is of first order: it holds where a rig bends in proportion to what pulls at it.
-Rigs that are hardly determined bend more. Rigs of parts of what was seen show that (`rig_parts`).
+The covariance is of first order. Rigs that are hardly determined are less linear: rigs adjusted to
+parts of the detections differ more than first order predicts, and the covariance grows with that
+(the delete-a-group jackknife; Shao and Wu 1989: "A General Theory for Jackknife Variance
+Estimation").
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.covariance import find_covariance, find_curved_covariance
-from mocap_calib.adjust.distinct_moments import count_moments
-from mocap_calib.adjust.fitted_rig import FittedRig, fit_again
-from mocap_calib.adjust.freedom import Freedom, free_poses
-from mocap_calib.adjust.regions import widening
-from mocap_calib.adjust.rig_parts import LeftOut, halves_variance, leave_out_moments
-from mocap_calib.config import Config
+from mocap_calib.adjust.covariance import Covariance, find_covariance
+from mocap_calib.adjust.parameters import free_poses
+from mocap_calib.adjust.problem import Problem, choose_problem, solve
+from mocap_calib.adjust.residuals import State
+from mocap_calib.adjust.solve import optimise_points, residual_lengths
+from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.gauge import project_out_similarity, rig_size
-from mocap_calib.types import CameraRig, Floats, Matches, RigCovariance, Sample
+from mocap_calib.geometry.gauge import project_out_similarity, rig_change, rig_size
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
 
 @dataclass(frozen=True)
-class FirstOrder:
-    """How far errors move a rig in proportion.
+class FittedRig:
+    """A rig adjusted to the points of a problem; state: the rig and its points."""
 
-    whole: the covariance by all errors, as wide as one must be that is estimated itself.
-    of_time, of_joints: square radians by which all cameras together turn by errors that the
-    detections of a moment, and those of a joint, have in common; those of single detections are
-    part of both.
+    problem: Problem
+    state: State
+
+    @property
+    def rig(self) -> CameraRig:
+        """The adjusted rig."""
+        state = self.state
+        return replace(self.problem.rig, rotation=state.rotation, translation=state.translation)
+
+    def change(self, state: State) -> Floats:
+        """Return the turns `[view, 3]` of the cameras of another state from those of the rig."""
+        rig = replace(self.rig, rotation=state.rotation, translation=state.translation)
+        return rig_change(self.rig, rig)[:, :3]
+
+    def without(self, points: Ints, config: Config) -> State:
+        """Return the state of cameras adjusted to some of the points (indices) alone."""
+        some = self.problem.select(points)
+        start = self.state.with_points(self.state.points[:, points])
+        rougher = replace(config.adjust, tolerance=config.uncertainty.bend_tolerance)
+        return _solve_again(start, some, rougher)
+
+
+def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> FittedRig:
+    """Return a rig adjusted again, to as many points as its covariance needs.
+
+    Raises as `choose_problem` does.
     """
+    # correlated detections determine no more by being many
+    problem = choose_problem(sample, rig, matches, config, points=config.uncertainty.points)
+    state = _solve_again(problem.start(), problem, config.adjust)
+    state = optimise_points(state, problem.rays, loss_scale=problem.loss_scale)
+    kept = np.flatnonzero(~_at_a_camera(problem, state, config.uncertainty.least_distance))
+    return FittedRig(problem.select(kept), state.with_points(state.points[:, kept]))
 
-    whole: RigCovariance
-    of_time: float
-    of_joints: float
+
+def _solve_again(start: State, problem: Problem, config: AdjustConfig) -> State:
+    """Return the state at the minimum that it is close to; its points have yet to be optimised."""
+    poses = free_poses(len(problem.rig))
+    scale = problem.loss_scale
+    return solve(start, problem.rays, poses, config, loss_scale=scale, already_close=True)
+
+
+def _at_a_camera(problem: Problem, state: State, least: float) -> Bools:
+    """Return which points `[N]` are next to a camera that sees them.
+
+    Rays of different things have met there. The image of such a point changes so fast that its
+    rounding errors outweigh all other points. least: distance, in usual ones of the camera.
+    """
+    centres = -np.einsum("vji,vj->vi", state.rotation, state.translation)
+    distance = np.linalg.norm(state.points - centres[:, :, None], axis=1)  # [view, N]
+    distance = np.where(problem.tracks.used, distance, np.nan)
+    usual = np.nanmedian(distance, axis=1, keepdims=True)
+    return np.asarray((distance < least * usual).any(0))
+
+
+# The covariance
 
 
 def rig_covariance(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
 ) -> RigCovariance:
-    """Return the covariance of a rig that has been adjusted to what was matched.
+    """Return the covariance of a rig that has been adjusted to the matched detections.
 
     Intrinsics count as known. Everything is as uncertain as can be where the matched detections do
     not constrain the rig.
@@ -54,84 +102,101 @@ def rig_covariance(
 def covariance_and_held_out(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
 ) -> tuple[RigCovariance, float]:
-    """Return `rig_covariance`, and the errors in moments that a rig was made without.
+    """Return `rig_covariance`, and the ratio of held-out to in-sample errors.
 
-    Their median is in errors that the same moments have in the rig of all; NaN where there are too
-    few moments.
+    The ratio is NaN where there are too few frames.
     """
     try:
         fitted = fit_again(sample, rig, matches, config)
     except DegenerateError:
         return RigCovariance.unknown(len(rig.cameras), rig_size(rig)), np.nan
-    without = leave_out_moments(fitted, config)
-    return _covariance_of(fitted, without, config, seed=seed), without.held_out
+    return _covariance_and_held_out(fitted, config, seed=seed)
 
 
 def covariance_of(fitted: FittedRig, config: Config, *, seed: int) -> RigCovariance:
     """Return the covariance of a rig; see `rig_covariance`."""
-    return _covariance_of(fitted, leave_out_moments(fitted, config), config, seed=seed)
+    return _covariance_and_held_out(fitted, config, seed=seed)[0]
 
 
-def _covariance_of(
-    fitted: FittedRig, without: LeftOut, config: Config, *, seed: int
-) -> RigCovariance:
-    """Return the covariance of a rig. without: see `leave_out_moments`."""
-    rig = fitted.rig
-    first = first_order(fitted, config)
-    bend = _bend(fitted, first, without, config, seed=seed) / config.uncertainty.usual_bend
-    if not np.isfinite(bend):  # too little is left to leave a part of it out
-        return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
-    # what parts of the errors do more than in proportion, all of them together do once more
-    inflation = max(1.0, bend) ** 2
-    # a single moment does not show what all joints of a moment share: it counts twice
-    moments = 1 + 1 / count_moments(fitted.points, config.uncertainty)
-    found = replace(first.whole, matrix=first.whole.matrix * inflation**2 * moments)
-    # no angle is larger; where nothing is determined a variance may be below 0 by rounding errors
-    with np.errstate(invalid="ignore"):
-        known = found.rotation_sigma.max() < np.pi and np.isfinite(found.centre_sigma).all()
-    return found if known else RigCovariance.unknown(len(rig.cameras), rig_size(rig))
-
-
-def first_order(fitted: FittedRig, config: Config) -> FirstOrder:
-    """Return how far errors move a rig in proportion."""
-    views, points = len(fitted.rig.cameras), fitted.points
-    freedom = free_poses(views)
-    clusters = points.time_blocks(config.uncertainty.time_blocks), points.keypoint
-    found = find_curved_covariance(
-        fitted.state,
-        fitted.seen,
-        freedom,
-        clusters=clusters,
-        loss_scale=points.loss_scale,
-        least_curvature=config.uncertainty.least_curvature,
-    )
-    time, joints = (_of_poses(part, freedom, fitted.rig) for part in found.parts)
+def _covariance_and_held_out(
+    fitted: FittedRig, config: Config, *, seed: int
+) -> tuple[RigCovariance, float]:
+    """Return the covariance of a rig, and the ratio of held-out to in-sample errors."""
+    rig, found = fitted.rig, first_order(fitted, config)
+    time, joints = (_of_poses(part, rig) for part in (found.by_time, found.by_joint))
     of_time, of_joints = _turn_variance(time), _turn_variance(joints)
-    # each of G groups tells of G - 1 (Satterthwaite 1946, of the sum of two such variances)
-    fewer = [max(len(np.unique(cluster)) - 1, 1) for cluster in clusters]
-    spread = of_time**2 / fewer[0] + of_joints**2 / fewer[1]
-    degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
-    least = config.uncertainty.least_degrees
-    matrix = found.once * widening(max(degrees, least)) * (time.matrix + joints.matrix)
-    return FirstOrder(replace(time, matrix=matrix), of_time, of_joints)
+    moments = leave_out_moments(fitted, config)
+    differ, expected = halves_variance(fitted, config, seed=seed), of_joints
+    if np.isfinite(moments.variance):
+        differ, expected = differ + moments.variance, expected + of_time
+    # Leave-out refits differ by `bend` times the first-order prediction; the covariance grows by
+    # bend^4: what parts of the errors do beyond first order, all of them together do once more.
+    bend = np.sqrt(differ / max(expected, 1e-30)) / config.uncertainty.usual_bend
+    frames = len(np.unique(fitted.problem.tracks.frame))
+    degrees = _degrees_of_freedom(fitted, of_time, of_joints, config)
+    # a single frame does not show what all its joints have in common: it counts twice
+    scale = max(1.0, bend) ** 4 * (1 + 1 / frames) * hotelling_factor(degrees)
+    matrix = found.once * scale * (time.matrix + joints.matrix)
+    with np.errstate(invalid="ignore"):  # where nothing is determined, rounding goes below 0
+        covariance = replace(time, matrix=matrix)
+        known = np.isfinite(bend) and covariance.rotation_sigma.max() < np.pi
+        if not (known and np.isfinite(covariance.centre_sigma).all()):
+            covariance = RigCovariance.unknown(len(rig), rig_size(rig))
+    return covariance, moments.held_out
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:
-    """Return a covariance of first order with a margin, and the one of independent errors.
+    """Return the covariance of first order, and that of independent errors.
 
-    The second is what it would be if all detections erred independently: too small, but it has
-    the shape that the images give it.
+    The second is too small, but has the shape that the images give it.
     """
-    points, freedom = fitted.points, free_poses(len(fitted.rig.cameras))
-    found = find_covariance(
+    found = first_order(fitted, config)
+    return _of_poses(found.whole, fitted.rig), _of_poses(found.independent, fitted.rig)
+
+
+def first_order(fitted: FittedRig, config: Config) -> Covariance:
+    """Return the covariance of first order of the poses of all cameras but the first."""
+    problem = fitted.problem
+    return find_covariance(
         fitted.state,
-        fitted.seen,
-        freedom,
-        clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
-        loss_scale=points.loss_scale,
+        problem.rays,
+        free_poses(len(problem.rig)),
+        period=problem.tracks.time_blocks(config.uncertainty.time_blocks),
+        joint=problem.tracks.keypoint,
+        scale=problem.loss_scale,
     )
-    real, independent = found.sandwich, found.bread
-    return _of_poses(real, freedom, fitted.rig), _of_poses(independent, freedom, fitted.rig)
+
+
+def _degrees_of_freedom(
+    fitted: FittedRig, of_time: float, of_joints: float, config: Config
+) -> float:
+    """Return the degrees of freedom of a covariance estimated from few clusters.
+
+    Of G clusters G - 1 (Satterthwaite 1946, of the sum of two such variances).
+    """
+    tracks = fitted.problem.tracks
+    periods, joints = (
+        max(len(np.unique(cluster)) - 1, 1)
+        for cluster in (tracks.time_blocks(config.uncertainty.time_blocks), tracks.keypoint)
+    )
+    spread = of_time**2 / periods + of_joints**2 / joints
+    degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
+    return max(degrees, config.uncertainty.least_degrees)
+
+
+def hotelling_factor(degrees: float) -> float:
+    """Return by how much a covariance must grow for its 95 % regions to hold 95 %.
+
+    Regions of three numbers. degrees: of freedom of the covariance, 6 or more. Its own error makes
+    the squared distances those of Hotelling's T^2; the quantile of F by Paulson's approximation
+    (1942), to 2 %.
+    """
+    left = degrees - 2
+    z, chi_square = 1.644854, 7.814728  # 95 % quantiles of a normal number, and of three squared
+    a, b = 1 - 2 / (9 * 3), 1 - 2 / (9 * left)
+    square, middle, rest = b**2 - z**2 * (1 - b), a * b, a**2 - z**2 * (1 - a)
+    root = (middle + np.sqrt(middle**2 - square * rest)) / square
+    return float(3 * degrees / left * root**3 / chi_square)
 
 
 def _turn_variance(covariance: RigCovariance) -> float:
@@ -139,41 +204,90 @@ def _turn_variance(covariance: RigCovariance) -> float:
     return float(np.einsum("vivi->", covariance.matrix[:, :3, :, :3]))
 
 
-def _of_poses(matrix: Floats, freedom: Freedom, rig: CameraRig) -> RigCovariance:
-    """Return the covariance of a rig from that of its free unknowns, `[free, free]`."""
-    views = len(rig.cameras)
-    poses = freedom.basis @ matrix @ freedom.basis.T
-    return _in_the_world(poses.reshape(views, 6, views, 6), rig)
+def _of_poses(matrix: Floats, rig: CameraRig) -> RigCovariance:
+    """Return the covariance of a rig from that of the poses of all cameras but the first.
 
-
-def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:
-    """Return a covariance of poses as that of turns and shifts in the world.
-
-    matrix: `[view, 6, view, 6]` of turns w and translations d in the frames of the cameras, the
-        first of which stays: R <- exp(w) R and t <- exp(w) t + d move the centre by -R' d.
+    The poses are turns w and translations d in the frames of the cameras: R <- exp(w) R and
+    t <- exp(w) t + d move the centre by -R' d.
     """
     views, size = len(rig.cameras), rig_size(rig)
+    basis = free_poses(views).basis
+    poses = (basis @ matrix @ basis.T).reshape(views, 6, views, 6)
     to_world = np.zeros((views, 6, 6))
     to_world[:, :3, :3] = np.swapaxes(rig.rotation, 1, 2)
     to_world[:, 3:, 3:] = -np.swapaxes(rig.rotation, 1, 2) / size
-    turned = np.einsum("vij,vjwk,wlk->viwl", to_world, matrix, to_world)
+    turned = np.einsum("vij,vjwk,wlk->viwl", to_world, poses, to_world)
     half = project_out_similarity(turned.reshape(views, 6, -1), rig)
     whole = project_out_similarity(half.reshape(6 * views, 6 * views).T.reshape(views, 6, -1), rig)
     return RigCovariance(matrix=whole.reshape(views, 6, views, 6), size=size)
 
 
-# What first order does not tell
+# Rigs of parts of the detections
 
 
-def _bend(
-    fitted: FittedRig, first: FirstOrder, without: LeftOut, config: Config, *, seed: int
-) -> float:
-    """Return by how much more rigs of parts of what was seen differ than first order tells.
+@dataclass(frozen=True)
+class LeftOut:
+    """Rigs that are each made without a fifth of the recording.
 
-    Of standard deviations: without each fifth of the recording, and of halves of the joints.
+    variance: of all turns together, in square radians, by the jackknife.
+    held_out: largest ratio, over the fifths, of the median error in the rig made without it to that
+        in the rig of all; NaN where nothing was left out.
     """
-    found, expected = halves_variance(fitted, config, seed=seed), first.of_joints
-    if np.isfinite(without.variance):
-        found += without.variance
-        expected += first.of_time
-    return float(np.sqrt(found / max(expected, 1e-30)))
+
+    variance: float
+    held_out: float
+
+
+def leave_out_moments(fitted: FittedRig, config: Config) -> LeftOut:
+    """Return rigs that are each made without a fifth of the recording.
+
+    With few more frames than fifths, each would weigh too much: all is NaN.
+    """
+    count, tracks = config.uncertainty.parts, fitted.problem.tracks
+    if len(np.unique(tracks.frame)) < config.uncertainty.moments_of_a_part * count:
+        return LeftOut(variance=np.nan, held_out=np.nan)
+    part = tracks.time_blocks(count)
+
+    def without(number: int) -> tuple[Floats, float]:
+        """Return the turns of the cameras without a part, and the ratio of its errors."""
+        state = fitted.without(np.flatnonzero(part != number), config)
+        return fitted.change(state), _error_ratio(state, np.flatnonzero(part == number), fitted)
+
+    turns, errors = zip(*map_in_threads(without, range(int(part.max()) + 1)), strict=True)
+    return LeftOut(variance=jackknife(np.stack(turns)), held_out=max(errors))
+
+
+def halves_variance(fitted: FittedRig, config: Config, *, seed: int) -> float:
+    """Return the variance of all turns together, by rigs of random halves of the joints."""
+    joints, joint = np.unique(fitted.problem.tracks.keypoint, return_inverse=True)
+    if len(joints) < 2:
+        return np.inf
+    rng = np.random.default_rng(seed)
+    half = [(rng.permutation(len(joints)) % 2)[joint] for _ in range(config.uncertainty.splits)]
+    kept = (np.flatnonzero(each == one) for each in half for one in (0, 1))
+    states = map_in_threads(lambda points: fitted.without(points, config), kept)
+    turns = np.stack([fitted.change(state) for state in states])
+    # a half errs by twice the variance of the whole, and two of them differ by four times that
+    return float(((turns[::2] - turns[1::2]) ** 2).sum()) / (4 * len(half))
+
+
+def jackknife(turns: Floats) -> float:
+    """Return the variance of all turns together, in square radians, by rigs without a part each.
+
+    turns: `[part, view, 3]`.
+    """
+    count = len(turns)
+    return (count - 1) / count * float(((turns - turns.mean(0)) ** 2).sum())
+
+
+def _error_ratio(state: State, left_out: Ints, fitted: FittedRig) -> float:
+    """Return the median error of points (indices) in a rig made without them.
+
+    In their median error in the rig of all. The points are optimised in both.
+    """
+    problem = fitted.problem.select(left_out)
+    seen, own = problem.rays, fitted.state.with_points(fitted.state.points[:, left_out])
+    moved = optimise_points(state.with_points(own.points), seen, loss_scale=problem.loss_scale)
+    counted = problem.tracks.used
+    found, usual = (np.median(residual_lengths(each, seen)[counted]) for each in (moved, own))
+    return float(found / max(usual, 1e-30))

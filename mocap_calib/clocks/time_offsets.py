@@ -12,23 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.bundle_adjustment import (
-    AdjustablePoints,
-    agreed_points,
-    observe_rays,
-)
 from mocap_calib.adjust.covariance import find_covariance
-from mocap_calib.adjust.freedom import free_clocks
 from mocap_calib.adjust.motion import Motion, motion_between, smoothness
-from mocap_calib.adjust.ray_residuals import RayObservations, TimedRayObservations
-from mocap_calib.adjust.residuals import State
-from mocap_calib.adjust.schur import minimise, settle_points
+from mocap_calib.adjust.parameters import free_clocks
+from mocap_calib.adjust.problem import Problem, problem_of_frames
+from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
+from mocap_calib.adjust.solve import minimise, optimise_points
 from mocap_calib.clocks.in_step import held_out_error
 from mocap_calib.config import Config, SubframeConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.stretches import usual_step
 from mocap_calib.rig.labels import per_frame_labels
-from mocap_calib.rig.tracks import labelled_frames
+from mocap_calib.rig.tracks import Tracks, labelled_frames
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording, TimeOffsets
 
 _COUNTED_FRAMES = 200  # that tell how many points a frame has
@@ -46,13 +41,13 @@ class _Tracks:
     """
 
     frames: Ints
-    points: AdjustablePoints
+    points: Problem
     own: Ints
     before: Ints
     after: Ints
     leader: Ints
     step: int
-    seen: RayObservations
+    seen: RayResiduals
 
     def motion(self, positions: Floats) -> Motion:
         """Return how the points `own` move, given where all are `[3, M]`."""
@@ -161,9 +156,9 @@ def _find_tracks(
 ) -> _Tracks:
     """Return about `budget` points of stretches of the recording, with their neighbours."""
     frames = _choose_stretches(matches, len(recording.keypoints), budget, config.subframe.stretch)
-    points = agreed_points(recording, rig, matches, frames, config)
+    points = problem_of_frames(recording, rig, matches, frames, config)
     step = usual_step(recording.frames)
-    before, after = _find_neighbours(points, recording.frames, step)
+    before, after = _find_neighbours(points.tracks, recording.frames, step)
     between = (before >= 0) & (after >= 0)
     own = np.flatnonzero(between)
     leader = np.arange(len(between))
@@ -177,21 +172,21 @@ def _find_tracks(
         after=after[own],
         leader=leader,
         step=step,
-        seen=observe_rays(rig, points.select(own)),
+        seen=points.select(own).rays,
     )
 
 
-def _find_neighbours(points: AdjustablePoints, frames: Ints, step: int) -> tuple[Ints, Ints]:
+def _find_neighbours(tracks: Tracks, frames: Ints, step: int) -> tuple[Ints, Ints]:
     """Return the indices `[M]` of the points a step before and after; -1 = none.
 
     frames: `[frame]` numbers of the frames of the recording.
     """
-    present, rank = np.unique(points.frame, return_inverse=True)
-    shape = (len(present) + 1, points.individual.max(initial=0) + 1)
-    index = np.full((*shape, points.keypoint.max(initial=0) + 1), -1)
-    index[rank, points.individual, points.keypoint] = np.arange(len(rank))
+    present, rank = np.unique(tracks.frame, return_inverse=True)
+    shape = (len(present) + 1, tracks.individual.max(initial=0) + 1)
+    index = np.full((*shape, tracks.keypoint.max(initial=0) + 1), -1)
+    index[rank, tracks.individual, tracks.keypoint] = np.arange(len(rank))
     follows = np.append(np.diff(frames[present]) == step, False)[: len(present)]
-    next_one = index[rank + 1, points.individual, points.keypoint]
+    next_one = index[rank + 1, tracks.individual, tracks.keypoint]
     after = np.where(follows[rank], next_one, -1)
     before = np.full(len(rank), -1)
     before[after[after >= 0]] = np.flatnonzero(after >= 0)
@@ -240,7 +235,7 @@ def _estimate(
     positions, adjusted, tau = tracks.points.points, rig, np.zeros(len(free))
     for _ in range(1 if first_look else options.rounds):
         before = tau
-        seen = TimedRayObservations(tracks.seen, tracks.motion(positions))
+        seen = TimedRayResiduals(tracks.seen, tracks.motion(positions))
         own = positions[:, tracks.own]
         state = minimise(
             State(adjusted.rotation, adjusted.translation, own, tau[:, None]),
@@ -249,23 +244,23 @@ def _estimate(
             loss_scale=last_scale,
             tolerance=config.adjust.rough_tolerance if first_look else options.tolerance,
         )
-        state = _at_size_of(rig, settle_points(state, seen, loss_scale=last_scale))
+        state = _at_size_of(rig, optimise_points(state, seen, loss_scale=last_scale))
         adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
         positions = tracks.move(positions, state.points)
         tau = state.intrinsics[:, 0]
         settled = np.abs(tau - before).max() < options.settled
         if settled or np.abs(tau).max() > options.most_offset:
             break
-    points = tracks.points.select(tracks.own)
+    points = tracks.points.tracks.select(tracks.own)
     covariance = find_covariance(
         state,
         seen,
         freedom,
-        clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
-        loss_scale=last_scale,
+        period=points.time_blocks(config.uncertainty.time_blocks),
+        joint=points.keypoint,
+        scale=last_scale,
     )
-    of_view = freedom.basis.reshape(len(free), -1, freedom.basis.shape[1])[:, -1]
-    sigma = np.sqrt(of_view @ np.diag(covariance.sandwich))
+    sigma = np.sqrt(freedom.by_view[:, -1] @ np.diag(covariance.whole))
     return _Estimate(rig=adjusted, tau=tau, sigma=sigma)
 
 

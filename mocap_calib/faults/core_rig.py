@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.refinement import adjust_until_stable
+from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.rig_covariance import rig_covariance
 from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.adjust.refinement import adjust_until_stable
+from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.resection import CameraPoses, Sightings, sightings_of
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, MovedConfig

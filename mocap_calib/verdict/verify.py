@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.adjust.fitted_rig import fit_again
-from mocap_calib.adjust.refinement import adjust_until_stable
+from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.relocation import find_lost_camera
-from mocap_calib.adjust.rig_covariance import cautious_covariances, covariance_of
+from mocap_calib.adjust.rig_covariance import cautious_covariances, covariance_of, fit_again
 from mocap_calib.clocks.common_clock import synchronise
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config

@@ -7,9 +7,7 @@ import pytest
 from rigs import uncertainty
 from scenes import lifted, recording, rotation_errors_deg, scene, truth, turn_cameras
 
-from mocap_calib.adjust.bundle_adjustment import adjust
 from mocap_calib.adjust.covariance import Covariance
-from mocap_calib.adjust.freedom import Freedom, free_intrinsics
 from mocap_calib.adjust.intrinsics import (
     _overconfidence,
     _sigma,
@@ -17,6 +15,8 @@ from mocap_calib.adjust.intrinsics import (
     free_focal_lengths,
     shared_intrinsics,
 )
+from mocap_calib.adjust.parameters import Parameters, free_intrinsics
+from mocap_calib.adjust.refine import adjust
 from mocap_calib.adjust.wrong_focal import find_wrong_focal
 from mocap_calib.config import Config, IntrinsicsConfig, UncertaintyConfig
 from mocap_calib.lift.loading import load_lifter
@@ -107,7 +107,7 @@ def test_the_sigma_is_right():
     assert 0.5 < np.sqrt((independent**2).mean()) < 1.3
 
 
-def certain_of(repeats: float, *, own: float) -> tuple[Covariance, Freedom]:
+def certain_of(repeats: float, *, own: float) -> tuple[Covariance, Parameters]:
     """Two views that share a focal length, whose detections alone give it a variance of `own`.
 
     They come in groups of equal ones, so that their gradients scatter `repeats` times as much.
@@ -116,7 +116,8 @@ def certain_of(repeats: float, *, own: float) -> tuple[Covariance, Freedom]:
     curvature = np.eye(7) * np.array([*[3.0] * 6, 1 / own])
     prior = np.diag([*[0.0] * 6, 0.5**-2])
     bread = np.linalg.inv(curvature + prior)
-    return Covariance(bread=bread, scatter=repeats * curvature), freedom
+    sandwich = bread @ (repeats * curvature) @ bread
+    return Covariance(bread, by_time=sandwich, by_joint=sandwich, once=0.5), freedom
 
 
 def test_detections_that_come_many_times_count_once():

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mocap_calib.adjust.bundle_adjustment import drop_low_confidence
+from mocap_calib.adjust.problem import drop_low_confidence
 from mocap_calib.config import AdjustConfig
 
 CONFIG = AdjustConfig()

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from scenes import PEOPLE, calibrate_group, rotation_errors_deg, scene
 
-from mocap_calib.adjust import settling
-from mocap_calib.adjust.bundle_adjustment import adjust
 from mocap_calib.adjust.motion import Motion, motion_between, smoothness
-from mocap_calib.adjust.ray_residuals import RayObservations, TimedRayObservations
-from mocap_calib.adjust.residuals import State
+from mocap_calib.adjust.refine import adjust
+from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
 from mocap_calib.clocks.in_step import bring_in_step, held_out_error
 from mocap_calib.clocks.time_offsets import find_time_offsets
 from mocap_calib.config import Config
@@ -199,7 +197,7 @@ def test_detections_of_nobody_are_not_moved():
 # Laws
 
 
-def timed_problem() -> tuple[State, TimedRayObservations]:
+def timed_problem() -> tuple[State, TimedRayResiduals]:
     """Two cameras, fifty moving points, and offsets."""
     rng = np.random.default_rng(0)
     rig = scene(cameras=2).rig
@@ -207,14 +205,16 @@ def timed_problem() -> tuple[State, TimedRayObservations]:
     rays = rig.rotation @ points + rig.translation[:, :, None]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     metric = rng.normal(size=(2, 2, 3, 50))
-    seen = RayObservations(rays=rays, metric=metric, weight=np.ones((2, 50)))
+    seen = RayResiduals(rays=rays, metric=metric, weight=np.ones((2, 50)))
     motion = Motion(rng.normal(0, 0.1, (3, 50)), rng.normal(0, 0.05, (3, 50)))
     state = State(rig.rotation, rig.translation, points, np.array([[0.2], [-0.4]]))
-    return state, TimedRayObservations(seen, motion)
+    return state, TimedRayResiduals(seen, motion)
 
 
-def residual(state: State, seen: TimedRayObservations, tau: Floats) -> Floats:
-    return seen.residuals(slice(0, 50), replace(state, intrinsics=tau)).residual
+def residual(state: State, seen: TimedRayResiduals, tau: Floats) -> Floats:
+    no_loss = 1e6
+    state = replace(state, intrinsics=tau)
+    return seen.linearise(slice(0, 50), state, no_loss, steps=0).residual
 
 
 def test_slopes_by_the_offset_are_differences():
@@ -222,26 +222,8 @@ def test_slopes_by_the_offset_are_differences():
     nudge = 1e-6
     tau = state.intrinsics
     difference = residual(state, seen, tau + nudge) - residual(state, seen, tau - nudge)
-    found = seen.residuals(slice(0, 50), state)
-    slopes = seen.slopes(slice(0, 50), state, found, np.ones((2, 50)))
-    expected = difference / (2 * nudge)
-    np.testing.assert_allclose(slopes.intrinsics[:, :, 0], expected, rtol=1e-5, atol=1e-7)
-
-
-def test_the_kernel_settles_points_as_its_definition(monkeypatch):
-    """Points that move, a block that begins amid them, and one that nobody sees."""
-    state, seen = timed_problem()
-    weight = np.where(np.arange(50) == 30, 0.0, seen.weight)
-    seen = replace(seen, rays=replace(seen.rays, weight=weight))
-
-    def found() -> list[Floats]:
-        settled = settling.settle(slice(20, 50), state, seen, 3.0)
-        return [settled.points, settled.in_camera, settled.residual, *vars(settled.slopes).values()]
-
-    by_kernel = found()
-    monkeypatch.setattr(settling, "compiled", lambda _: None)
-    for ours, expected in zip(by_kernel, found(), strict=True):
-        assert np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
+    slopes = seen.linearise(slice(0, 50), state, 1e6, steps=0).by_intrinsics
+    np.testing.assert_allclose(slopes[:, :, 0], difference / (2 * nudge), rtol=1e-5, atol=1e-7)
 
 
 def test_motion_goes_through_the_neighbours():

@@ -7,7 +7,7 @@ import pytest
 from scenes import lifted, recording, scene, truth
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from mocap_calib.adjust import bundle_adjustment
+from mocap_calib.adjust import refine
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.pairs import solve
@@ -48,7 +48,7 @@ def match():
 
 
 def adjust():
-    bundle_adjustment.adjust(recording(), scene().rig, truth(), Config())
+    refine.adjust(recording(), scene().rig, truth(), Config())
 
 
 def triangulate():
@@ -62,7 +62,7 @@ def smooth():
 STAGES = [  # a call, and a step of it, in its module
     (pairs, solve, "pair_mapper"),
     (match, association, "_body_scale"),
-    (adjust, bundle_adjustment, "choose_points"),
+    (adjust, refine, "choose_problem"),
     (triangulate, triangulation, "view_noise"),
     (smooth, stage, "view_noise"),
 ]

@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from mocap_calib.adjust.residuals import Slopes
-from mocap_calib.adjust.schur import NormalEquations
+from mocap_calib.adjust.residuals import Linearised
+from mocap_calib.adjust.solve import NormalEquations
 from mocap_calib.types import Floats
 
 
-def normal_equations(
-    rotation: Floats, in_camera: Floats, slopes: Slopes, residual: Floats
-) -> NormalEquations:
+def normal_equations(rotation: Floats, linear: Linearised) -> NormalEquations:
     """Return U = A'A, V = B'B, W = A'B and their gradients of Jacobians A and B."""
-    slope = slopes.in_camera
-    turning = np.cross(in_camera[:, None], slope, axis=2)  # a rotation w moves a point x by w x x
-    camera = np.concatenate([turning, slope, slopes.intrinsics], axis=2)
+    slope, residual = linear.by_point, linear.residual
+    turning = np.cross(
+        linear.in_camera[:, None], slope, axis=2
+    )  # a rotation w moves a point x by w x x
+    camera = np.concatenate([turning, slope, linear.by_intrinsics], axis=2)
     point = np.einsum("vkin,vij->vkjn", slope, rotation)
     return NormalEquations(
         camera=np.einsum("vkin,vkjn->vij", camera, camera, optimize=True),

@@ -23,7 +23,7 @@ from scenes import (
     turn_cameras,
 )
 
-from mocap_calib.adjust.bundle_adjustment import adjust
+from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.identities.finalise import finalise_identities
 from mocap_calib.lift.lift import lift

@@ -7,7 +7,7 @@ import pytest
 from scenes import scene
 from scipy.linalg import null_space
 
-from mocap_calib.adjust import refinement
+from mocap_calib.adjust import refine
 from mocap_calib.adjust.covariance import _inverse_at_size
 from mocap_calib.clocks import search as clock_search
 from mocap_calib.clocks.evidence import along_map, standard_errors
@@ -155,9 +155,9 @@ def test_stretches_are_whole_and_spread_over_the_recording():
 def test_the_first_of_the_rigs_that_fit_best_is_taken(monkeypatch, misfits, taken):
     rigs = [SimpleNamespace(rig=scene().rig, matches=misfit) for misfit in misfits]
     monkeypatch.setattr(
-        refinement, "measure_fit", lambda _, __, misfit, ___: SimpleNamespace(misfit=misfit)
+        refine, "measure_fit", lambda _, __, misfit, ___: SimpleNamespace(misfit=misfit)
     )
-    assert refinement._best_fit(None, rigs, Config()) is rigs[taken]
+    assert refine._best_fit(None, rigs, Config()) is rigs[taken]
 
 
 def test_a_clock_that_was_not_put_right_counts_where_it_is_certainly_off():

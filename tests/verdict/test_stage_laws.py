@@ -17,9 +17,8 @@ from scenes import (
     truth,
 )
 
-from mocap_calib.adjust.covariance import _inflation
 from mocap_calib.adjust.fit import measure_fit
-from mocap_calib.adjust.rig_parts import jackknife
+from mocap_calib.adjust.rig_covariance import jackknife
 from mocap_calib.config import AveragingConfig, Config, TriangulateConfig
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.identities.proportions import _medians
@@ -210,12 +209,6 @@ def test_medians_of_columns_leave_out_what_is_not_known(seed, rows):
     known = [np.sort(column[np.isfinite(column)]) for column in values.T]
     expected = [each[(len(each) - 1) // 2] if len(each) else np.nan for each in known]
     np.testing.assert_array_equal(_medians(values), expected)
-
-
-def test_residuals_are_too_small_by_the_three_numbers_of_their_point():
-    """Of 2, 3 and 4 views: 4, 6 and 8 numbers, of which 1, 3 and 5 are left."""
-    weight = np.array([[1.0, 1, 1], [1, 1, 1], [0, 1, 1], [0, 0, 1]])
-    np.testing.assert_allclose(_inflation(weight), np.sqrt([4 / 1, 6 / 3, 8 / 5]))
 
 
 def test_the_jackknife_of_a_mean_is_the_variance_of_a_mean():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scenes import PEOPLE, calibrate_group, calibrated, recording, rotation_errors_deg, scene, truth
 
-from mocap_calib.adjust import fitted_rig as stage
-from mocap_calib.adjust.bundle_adjustment import adjust
+from mocap_calib.adjust import rig_covariance as stage
+from mocap_calib.adjust.refine import adjust
 from mocap_calib.adjust.rig_covariance import covariance_and_held_out, rig_covariance
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
@@ -110,10 +110,10 @@ def test_the_sigma_of_a_pair_follows_from_that_of_its_cameras():
 
 
 def test_what_does_not_constrain_the_rig_leaves_all_open(monkeypatch):
-    def refuse(*_):
+    def refuse(*_, **__):
         raise DegenerateError("nothing")
 
-    monkeypatch.setattr(stage, "choose_points", refuse)
+    monkeypatch.setattr(stage, "choose_problem", refuse)
     found = rig_covariance(None, scene().rig, None, Config(), seed=0)
     assert np.rad2deg(found.rotation_sigma) == pytest.approx(180)
 

@@ -49,7 +49,7 @@ def command(
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --matches-out new.csv
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --solver colmap -o b.yaml
     """
-    from mocap_calib.adjust.refinement import adjust_until_stable, choose_adjuster
+    from mocap_calib.adjust.refine import adjust_until_stable, choose_adjuster
     from mocap_calib.config import Config
     from mocap_calib.identities.finalise import finalise_identities
     from mocap_calib.io.results.matches_csv import matches_csv

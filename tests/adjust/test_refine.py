@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scenes import recording, rotation_errors_deg, scene, truth, turn_cameras
 
-from mocap_calib.adjust.bundle_adjustment import adjust, adjust_once
 from mocap_calib.adjust.ceres import adjust_by_ceres
+from mocap_calib.adjust.refine import adjust, adjust_once
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import matrix_from_vector

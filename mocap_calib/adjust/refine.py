@@ -1,12 +1,14 @@
-"""Adjust the rig and match by it in turns, from one start or from several."""
+"""Adjust a rig, and match by it in turns, from one start or from several."""
 
 from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
-from mocap_calib.adjust.bundle_adjustment import adjust_once
 from mocap_calib.adjust.fit import fit_equally_well, measure_fit
+from mocap_calib.adjust.parameters import free_poses
+from mocap_calib.adjust.problem import choose_problem, solve
+from mocap_calib.adjust.residuals import State
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
@@ -24,8 +26,63 @@ from mocap_calib.types import (
 )
 
 
+def adjust(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> CameraRig:
+    """Return the rig that minimises the robust reprojection error of the matched detections.
+
+    Intrinsics stay as they are, and so do the first camera and the size of the rig. It is adjusted
+    twice: the loss is in standard deviations of the errors, and how large these are is known only
+    of a rig that is close.
+
+    Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
+    too few to constrain it, and DegenerateError where there is no match at all.
+    """
+    close = adjust_once(sample, rig, matches, config)
+    return adjust_once(sample, close, matches, config, already_close=True)
+
+
+@single_threaded_libraries()
+def adjust_once(
+    sample: Sample,
+    rig: CameraRig,
+    matches: Matches,
+    config: Config,
+    *,
+    already_close: bool = False,
+) -> CameraRig:
+    """Return what `adjust` does, by the errors that the rig has to begin with.
+
+    The loss is tightened in steps. already_close: the rig has been adjusted before, so that only
+    the last step is needed.
+    """
+    problem = choose_problem(sample, rig, matches, config)
+    found = solve(
+        problem.start(),
+        problem.rays,
+        free_poses(len(rig)),
+        config.adjust,
+        loss_scale=problem.loss_scale,
+        already_close=already_close,
+    )
+    return placed_as(rig, found)
+
+
+def placed_as(rig: CameraRig, state: State) -> CameraRig:
+    """Return the rig with the poses of a state, at the size that it has."""
+    adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
+    return with_size_of(rig, adjusted)
+
+
+def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
+    """Return the rig at the size of a reference, the first camera where the reference has it."""
+    first = reference.centres[0]
+    size = np.sqrt(((rig.centres - first) ** 2).sum())
+    reference_size = np.sqrt(((reference.centres - first) ** 2).sum())
+    centres = first + (rig.centres - first) * (reference_size / size)
+    return rig.stand(rig.rotation, centres)
+
+
 class Adjuster(Protocol):
-    """What adjusts a rig to matched detections; `bundle_adjustment.adjust_once` is one."""
+    """What adjusts a rig to matched detections; `adjust_once` is one."""
 
     def __call__(
         self,

@@ -1,0 +1,238 @@
+"""Minimise a robust reprojection error over cameras and points, with the points eliminated.
+
+Levenberg and Marquardt's iteration on the reduced camera system (Triggs, McLauchlan, Hartley and
+Fitzgibbon 2000: "Bundle Adjustment - A Modern Synthesis", section 6.1). The points are optimised
+after each step of the cameras.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_calib.adjust.parameters import Parameters
+from mocap_calib.adjust.residuals import Linearised, Part, Residuals, State, parts_of
+from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.kernels import schur as kernels
+from mocap_calib.kernels.loading import contiguous
+from mocap_calib.types import Floats
+
+# Levenberg and Marquardt's damping; more of it after a step that raised the cost, less after others
+_STEPS = 50
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-10, 1e8
+_DAMPING_FACTOR = 10.0
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """The Gauss-Newton system about a state, with A and B the Jacobians of cameras and points.
+
+    camera: `[view, C, C]` the blocks U = A'A of the cameras, of C unknowns each.
+    camera_gradient: `[view, C]` a = A'r.
+    point: `[3, 3, N]` the blocks V = B'B of the points.
+    point_gradient: `[3, N]` b = B'r.
+    mixed: `[view, C, 3, N]` the blocks W = A'B of a camera and a point.
+    """
+
+    camera: Floats
+    camera_gradient: Floats
+    point: Floats
+    point_gradient: Floats
+    mixed: Floats
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """The system of the cameras about a state whose points are optimised.
+
+    matrix: `[C view, C view]` and gradient: `[C view]` as of `eliminate_points`.
+    stiffness: `[C view]` the diagonals of the cameras' own blocks, which damping adds to.
+    """
+
+    state: State
+    cost: float
+    matrix: Floats
+    gradient: Floats
+    stiffness: Floats
+
+
+def minimise(
+    state: State, seen: Residuals, parameters: Parameters, *, loss_scale: float, tolerance: float
+) -> State:
+    """Return the state of least robust cost: Cauchy's loss at `loss_scale` standard deviations.
+
+    The scale of the rig is free. It ends with a step that promises to lower the cost by no more
+    than the share `tolerance`, after which the points have yet to be optimised (`optimise_points`).
+    """
+    damping = _FIRST_DAMPING
+    now = _reduce(state, seen, parameters, loss_scale)
+    for _ in range(_STEPS):
+        step = _solve_cameras(now, parameters.basis, damping)
+        moved = _move(now.state, step)
+        promised = -float(step.ravel() @ now.gradient)
+        if damping <= _FIRST_DAMPING and promised <= tolerance * now.cost:
+            return moved
+        then = _reduce(moved, seen, parameters, loss_scale)
+        if then.cost < now.cost:
+            now = then
+            damping = max(damping / _DAMPING_FACTOR, _LEAST_DAMPING)
+        else:
+            damping *= _DAMPING_FACTOR
+            if damping > _MOST_DAMPING:
+                break
+    return now.state
+
+
+def optimise_points(state: State, seen: Residuals, *, loss_scale: float) -> State:
+    """Return the state with the points of least cost for its cameras."""
+
+    def work(part: Part) -> Floats:
+        return part.seen.linearise(part.block, part.state, loss_scale).points
+
+    points = map_in_threads(work, parts_of(state, seen))
+    return replace(state, points=np.concatenate(list(points), axis=1))
+
+
+def residual_lengths(state: State, seen: Residuals) -> Floats:
+    """Return the lengths `[view, N]` of residuals in standard deviations, 0 where not seen."""
+    no_loss = 1e6  # standard deviations
+    found = np.zeros(seen.weight.shape)
+    for part in parts_of(state, seen):
+        linear = part.seen.linearise(part.block, part.state, no_loss, steps=0)
+        found[part.views, part.points] = np.linalg.norm(linear.residual, axis=1)
+    return found
+
+
+# The normal equations
+
+
+def normal_equations(rotation: Floats, linear: Linearised) -> NormalEquations:
+    """Return the equations of a block of points.
+
+    What is known of the intrinsics beforehand is not in them (`Parameters.prior`).
+    """
+    (views, _, count), unknowns = linear.in_camera.shape, 6 + linear.by_intrinsics.shape[2]
+    camera = np.empty((views, unknowns, 2, count))
+    point, point_gradient = np.empty((3, 3, count)), np.empty((3, count))
+    mixed = np.empty((views, unknowns, 3, count))
+    given = contiguous(rotation, *_jacobians(linear), point, point_gradient, mixed, camera)
+    kernels.normal_equations(*given)
+    blocks, gradient = _own_blocks(camera, linear.residual)
+    return NormalEquations(blocks, gradient, point, point_gradient, mixed)
+
+
+def eliminate_points(equations: NormalEquations) -> tuple[Floats, Floats, Floats]:
+    """Return V^-1 `[3, 3, N]`, and the system S dc = -g of the cameras.
+
+    S = U - W V^-1 W' is the Schur complement of V, `[C view, C view]`; g = a - W V^-1 b.
+    """
+    mixed = equations.mixed.reshape(-1, *equations.point_gradient.shape)
+    root, product = np.empty_like(equations.point), np.empty_like(mixed)
+    kernels.rooted(equations.point, mixed, root, product)
+    side = np.einsum("jkn,jn->kn", root, equations.point_gradient)
+    return (
+        np.einsum("ikn,jkn->ijn", root, root),
+        *_schur_complement(equations.camera, equations.camera_gradient, product, side),
+    )
+
+
+def _jacobians(linear: Linearised) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return what kernels make equations of."""
+    return linear.in_camera, linear.by_point, linear.by_intrinsics, linear.residual
+
+
+def _schur_complement(
+    camera: Floats, gradient: Floats, product: Floats, side: Floats
+) -> tuple[Floats, Floats]:
+    """Return S and g of `eliminate_points`.
+
+    camera, gradient: as of `NormalEquations`. product: W Q `[C view, 3, n]` with a root Q of V^-1;
+    side: Q'b `[3, n]`.
+    """
+    rows, unknowns = product.reshape(len(product), -1), camera.shape[1]
+    matrix = -(rows @ rows.T)
+    for view, block in enumerate(camera):
+        own = slice(unknowns * view, unknowns * (view + 1))
+        matrix[own, own] += block
+    return matrix, gradient.reshape(-1) - rows @ side.reshape(-1)
+
+
+def _own_blocks(camera: Floats, residual: Floats) -> tuple[Floats, Floats]:
+    """Return the cameras' blocks U `[view, C, C]` and gradients a `[view, C]`.
+
+    camera: `[view, C, 2, n]` the derivatives; residual: `[view, 2, n]`.
+    """
+    rows = camera.reshape(*camera.shape[:2], -1)
+    gradient = np.matmul(rows, residual.reshape(len(rows), -1, 1))[..., 0]
+    return np.matmul(rows, np.swapaxes(rows, 1, 2)), gradient
+
+
+# The reduced camera system
+
+
+def _reduce(state: State, seen: Residuals, parameters: Parameters, loss_scale: float) -> _Reduced:
+    """Optimise the points of a state, and return the system of the cameras about it."""
+    unknowns = 6 + state.intrinsics.shape[1]
+    size = unknowns * len(state.rotation)
+    matrix, gradient, stiffness = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    points, cost = [], 0.0
+    parts = parts_of(state, seen)
+    work = map_in_threads(lambda part: _reduce_part(part, loss_scale), parts)
+    for part, (linear, *system) in zip(parts, work, strict=True):
+        own = (unknowns * part.views[:, None] + np.arange(unknowns)).ravel()
+        matrix[np.ix_(own, own)] += system[0]
+        gradient[own] += system[1]
+        stiffness[own] += system[2]
+        points.append(linear.points)
+        cost += linear.cost
+    known, pull = (each.ravel() for each in parameters.prior(state.intrinsics))
+    return _Reduced(
+        state=replace(state, points=np.concatenate(points, axis=1)),
+        cost=cost * loss_scale**2 + float((parameters.precision * state.intrinsics**2).sum()),
+        matrix=matrix + np.diag(known),
+        gradient=gradient + pull,
+        stiffness=stiffness + known,
+    )
+
+
+def _reduce_part(part: Part, loss_scale: float) -> tuple[Linearised, Floats, Floats, Floats]:
+    """Return a block of points, optimised, and S, g and the diagonal of U of their cameras."""
+    linear = part.seen.linearise(part.block, part.state, loss_scale)
+    (views, _, count), unknowns = linear.in_camera.shape, 6 + linear.by_intrinsics.shape[2]
+    camera, side = np.empty((views, unknowns, 2, count)), np.empty((3, count))
+    product = np.empty((views * unknowns, 3, count))
+    given = contiguous(part.state.rotation, *_jacobians(linear), camera, product, side)
+    kernels.reduced(*given)
+    blocks, gradient = _own_blocks(camera, linear.residual)
+    system = _schur_complement(blocks, gradient, product, side)
+    return linear, *system, np.einsum("vii->vi", blocks).ravel()
+
+
+# The step
+
+
+def _solve_cameras(reduced: _Reduced, basis: Floats, damping: float) -> Floats:
+    """Return the damped step of the cameras `[view, C]`.
+
+    basis: `[C view, free]` as in `Parameters`.
+    """
+    damped = reduced.matrix + damping * np.diag(reduced.stiffness)
+    matrix = basis.T @ damped @ basis
+    stiffness = np.diag(matrix)
+    # rounding may leave a direction that nothing constrains below zero
+    scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max() + 1e-150))
+    scaled = scale[:, None] * matrix * scale + 1e-12 * np.eye(len(matrix))
+    step = basis @ (-scale * np.linalg.solve(scaled, scale * (reduced.gradient @ basis)))
+    return step.reshape(len(reduced.state.rotation), -1)
+
+
+def _move(state: State, cameras: Floats) -> State:
+    """Return the state after steps of the cameras `[view, C]`."""
+    rotation = matrix_from_vector(cameras[:, :3])
+    translation = np.einsum("vij,vj->vi", rotation, state.translation) + cameras[:, 3:6]
+    return State(
+        rotation=rotation @ state.rotation,
+        translation=translation,
+        points=state.points,
+        intrinsics=state.intrinsics + cameras[:, 6:],
+    )
