@@ -39,11 +39,13 @@ def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config
     noise = view_residual(sample, rig, matches, config.triangulate)
     seen, points, error = measure_distances(sample, rig, matches, noise, config)
     counted = (seen.weight > 0) & np.isfinite(points[0])
+    # rays of two views meet nearly, whatever they show
+    several = counted & (counted.sum(0) >= min(3, len(rig)))
     focal = np.array([camera.focal for camera in rig.cameras])
     return Fit(
         misfit=_misfit(error[counted], config.uncertainty.misfit_limit),
-        angle=_quantiles(error, counted, 0.5) / focal,
-        good_angle=_quantiles(error, counted, 0.25) / focal,
+        angle=_quantiles(error, several, 0.5) / focal,
+        good_angle=_quantiles(error, several, 0.25) / focal,
         noise=noise * focal,
         perspective=_perspective(rig, points, counted) * focal,
     )
