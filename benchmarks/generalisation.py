@@ -13,12 +13,12 @@ from pathlib import Path
 import torch
 from protocol_scenes import Kind
 
-from mocap_calib.config import TrainConfig
 from mocap_calib.recording.joints import load_section, load_skeleton
 from mocap_calib.training.checkpoint import load_steerer
+from mocap_calib.training.config import TrainConfig
 from mocap_calib.training.dataset import Batch, Synthesiser
+from mocap_calib.training.model import Model, complete, steer
 from mocap_calib.training.poses import load_poses
-from mocap_calib.training.steer import Model, complete, steer
 from mocap_calib.training.train import train_lifter, training_config
 from mocap_calib.types import silent
 

@@ -9,20 +9,15 @@ import numpy as np
 import torch
 from protocol_rivals import LiftedPair, adjust, lifted_pair, procrustes, sphere
 
-from mocap_calib.config import (
-    FIVE_POINT_CONFIDENCE,
-    FIVE_POINT_LEAST_FORWARD,
-    FIVE_POINT_LEAST_JOINTS,
-    FivePointConfig,
-    PairwiseConfig,
-    PaperConfig,
-)
+from mocap_calib.config import FIVE_POINT_CONFIDENCE, FIVE_POINT_LEAST_FORWARD, PairwiseConfig
 from mocap_calib.geometry.epipolar import pose_from_essential
 from mocap_calib.lift.lift import lift, rays_by_joint
 from mocap_calib.pairs.solve import calibrate_pair, pair_problem
-from mocap_calib.paper.batch import TwoViews
+from mocap_calib.paper.batch import PaperConfig, TwoViews
 from mocap_calib.paper.five_point import (
+    FIVE_POINT_LEAST_JOINTS,
     Estimator,
+    FivePointConfig,
     Found,
     RelativePose,
     estimate_by_loransac,
@@ -32,8 +27,7 @@ from mocap_calib.paper.five_point import (
 from mocap_calib.paper.solver import solve_pair, solve_pairs
 from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
 from mocap_calib.training.checkpoint import load_steerer
-from mocap_calib.training.model import LifterModule, lifter_of
-from mocap_calib.training.steer import Model
+from mocap_calib.training.model import LifterModule, Model, lifter_of
 from mocap_calib.types import Bools, Floats, Sample, Skeleton, silent
 
 TIMED = 1  # pairs that the paper's solver does alone, to know its seconds
@@ -61,7 +55,7 @@ def load_models(methods: Sequence[str], skeleton: str = "people") -> dict[str, M
     """Load the shipped networks that these methods need: not all skeletons have rotation tokens."""
     models: dict[str, Model] = {"factorised": load_steerer(skeleton)[0]}
     if any("token" in method for method in methods):
-        models["token"] = load_steerer(skeleton, architecture="token")[0]
+        models["token"] = load_steerer(f"{skeleton}_token")[0]
     return models
 
 

@@ -13,80 +13,12 @@ LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
 LIFT_LEAST_FORWARD = 0.1  # z of a unit ray in the virtual camera: what is beside it stays finite
 
 ENCODER_HEADS = 4  # of the networks' encoders, which share a token
-PAPER_WIDTH = 32  # size of a token of the paper's network
-PAPER_LAYERS = 5  # of its encoder
 
 SmoothMode = Literal["auto", "bones", "off"]  # what is done to poses; the first is the default
 SMOOTH_MODES: tuple[SmoothMode, ...] = get_args(SmoothMode)
 
 COMPLETION_SPREAD = 0.2  # body sizes: a joint known to this much has exp(-1) of the confidence
 COMPLETION_CONFIDENCE = 0.5  # at most, of the mean confidence of the joints that were seen
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """How a lifter is trained; saved in its model card.
-
-    Angles in degrees, lengths in body sizes (RMS joint distance from the centroid; about 0.55 m
-    for an adult).
-    """
-
-    steps: int = 9000
-    batch: int = 256
-    width: int = 64
-    layers: int = 4
-    learning_rate: float = 2e-3
-    # most rigs stand upright; the images of rolled cameras are turned upright before lifting
-    roll_deg: float = 10.0
-    elevation_deg: tuple[float, float] = (-15.0, 65.0)
-    elevation_skew: float = 0.5  # 0: all elevations alike; more: the lower ones likelier
-    distance: tuple[float, float] = (3.0, 40.0)
-    # of the visible pose's RMS radius, log-uniform per pose
-    noise: tuple[float, float] = (0.005, 0.06)
-    outliers: float = 0.02  # share of joints that the detector puts somewhere else
-    length_spread: float = 0.12  # log-normal, a limb; children and adults
-    # knees of fitted skeletons are too bent: up to this share of the way to straight
-    straighten: float = 0.7
-    joint_spread: float = 0.03  # detectors disagree where a joint is
-    joint_dropout: float = 0.6  # up to this share of joints belongs to other layouts
-    occlusion: float = 0.25  # up to this share of the remaining joints is missing
-    bodies: int = 40_000  # procedural bodies to draw from, where they are asked for
-    procedural: float = 0.5  # share of the procedural bodies beside poses of files
-    seed: int = 0
-
-
-OUTLIER_NOISE = 0.5  # of the visible pose's RMS radius: noise of the joints put somewhere else
-HIDDEN_LIMBS = 0.2  # share of the poses one of whose limbs is hidden
-TRAINING_JOINTS = 4  # that a training pose has, and shows, at least
-WEIGHT_DECAY = 1e-4
-WARM_UP = 0.05  # share of the training steps in which the learning rate rises
-LARGEST_GRADIENT = 1.0
-UNCERTAINTY_WEIGHT = 0.1  # of the Laplace likelihood in the loss of a lifter
-EVALUATION_SEED = 12345  # all networks are measured on the same examples
-EVALUATION_SEED_OF_ANGLES = 54321
-EVALUATION_EXAMPLES = 8192  # views, or pairs of views, that a network is measured on
-
-OWN_SPECIES_LEAST_POSES = 20  # 3D poses of a calibrated recording that can be learnt from
-OWN_SPECIES_LARGEST_ERROR = 3.0  # median reprojection errors: joints beyond it are left out
-# settings of TrainConfig: nobody has said from where the species is seen, or that it has knees
-OWN_SPECIES_TRAINING = {"elevation_deg": (-60, 88), "roll_deg": 20, "straighten": 0}
-
-
-@dataclass(frozen=True)
-class PairsConfig:
-    """The paper's training pairs (appendix C) for the rotation-token network."""
-
-    cameras: int = 100  # on the hemisphere
-    rolls: int = 20  # of each, about its axis
-    pairs: int = 3000  # of views, split 7:2:1
-    noise: float = 0.03  # of the visible pose's RMS radius
-    masked: tuple[float, float] = (0.1, 0.3)  # share of joints
-    # share of poses that lack further joints, as detectors' layouts do; not in the paper
-    layouts: float = 0.5
-    seed: int = 0
-
-
-LAYOUT_DROPOUT = 0.6  # up to this share of joints is lacking where a pose lacks further joints
 
 
 @dataclass(frozen=True)
@@ -245,45 +177,8 @@ class PairwiseConfig:
 LEAST_LIFT_SPREAD = 0.05  # body sizes: no lifted joint is more certain
 
 
-@dataclass(frozen=True)
-class FivePointConfig:
-    """The baseline that calibrates a pair of views without lifted bodies."""
-
-    candidates: int = 60  # sets of matches that RANSAC draws
-    inlier_px: float = 6.0
-    least_fit: float = 0.6  # share of the joints of a right match that are inliers
-    ransac_iterations: int = 300
-
-
-FIVE_POINT_LEAST_JOINTS = 5  # determine an essential matrix
-
 # ways to calibrate a pair of views; the first is the default
 PAIR_SOLVERS = ("search", "paper", "five-point")
-
-
-@dataclass(frozen=True)
-class PaperConfig:
-    """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""
-
-    frames: int = 5  # of a pair of views at a time; the paper has one
-    iterations: int = 1000
-    learning_rate: float = 0.01
-    final_rate: float = 0.01  # of the learning rate, reached linearly
-    alpha: float = 3.0  # of the similarity
-    sharpness: float = 10.0  # of Sinkhorn; open in the paper
-    sweeps: int = 10  # of Sinkhorn; open in the paper
-    geometric_weight: float = 1.0  # lambda, "empirically determined"; 0 leaves L_geom out
-    # L_geom of the whole system as in the paper, or with its points eliminated, which is 3 x 3
-    full_system: bool = False
-    geometric_from: float = 0.4  # share of the iterations before L_geom is active
-    mutual: int = 2  # matches, mutual in both directions, before L_geom is active
-    tries: int = 5
-    success_px: float = 10.0
-
-
-PAPER_FAR_PX = 100.0  # a joint reprojected farther away, or behind a camera, counts as this
-PAPER_LEAST_JOINTS = 4  # seen joints of a body that is steered
-PAPER_LEAST_RAY_DEPTH = 0.05  # z of a unit ray that has an image point
 
 
 # which pairs of cameras are calibrated; the first is the default

@@ -1,4 +1,4 @@
-"""Several pairs of views side by side, as tensors: what the paper's solver works on."""
+"""Settings of the paper's solver, and the pairs of views that it solves as tensors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +7,31 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mocap_calib.config import PAPER_LEAST_JOINTS, PAPER_LEAST_RAY_DEPTH
 from mocap_calib.types import Floats
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""
+
+    frames: int = 5  # of a pair of views at a time; the paper has one
+    iterations: int = 1000
+    learning_rate: float = 0.01
+    final_rate: float = 0.01  # of the learning rate, reached linearly
+    alpha: float = 3.0  # of the similarity
+    sharpness: float = 10.0  # of Sinkhorn; open in the paper
+    sweeps: int = 10  # of Sinkhorn; open in the paper
+    geometric_weight: float = 1.0  # lambda, "empirically determined"; 0 leaves L_geom out
+    # L_geom of the whole system as in the paper, or with its points eliminated, which is 3 x 3
+    full_system: bool = False
+    geometric_from: float = 0.4  # share of the iterations before L_geom is active
+    mutual: int = 2  # matches, mutual in both directions, before L_geom is active
+    tries: int = 5
+    success_px: float = 10.0
+
+
+LEAST_JOINTS = 4  # seen joints of a body that is steered
+_LEAST_RAY_DEPTH = 0.05  # z of a unit ray that has an image point
 
 
 @dataclass(frozen=True)
@@ -45,25 +68,17 @@ class Batch:
 
     def select(self, problems: list[int]) -> "Batch":
         """Return these problems (indices) alone."""
-        return Batch(
-            pose_a=self.pose_a[problems],
-            pose_b=self.pose_b[problems],
-            seen_a=self.seen_a[problems],
-            seen_b=self.seen_b[problems],
-            ray_a=self.ray_a[problems],
-            ray_b=self.ray_b[problems],
-            focal=self.focal[problems],
-        )
+        return Batch(**{name: part[problems] for name, part in vars(self).items()})
 
     @property
     def present_a(self) -> Tensor:
         """`[B, F, I]` bodies of view a with enough joints to be steered."""
-        return self.seen_a.sum(-1) >= PAPER_LEAST_JOINTS
+        return self.seen_a.sum(-1) >= LEAST_JOINTS
 
     @property
     def present_b(self) -> Tensor:
         """`[B, F, J]` bodies of view b with enough joints to be steered."""
-        return self.seen_b.sum(-1) >= PAPER_LEAST_JOINTS
+        return self.seen_b.sum(-1) >= LEAST_JOINTS
 
     @property
     def most_matches(self) -> Tensor:
@@ -77,22 +92,14 @@ def stack_problems(problems: Sequence[TwoViews]) -> Batch:
     pose_a, seen_a, ray_a = _stack_view([problem.rays_a for problem in problems])
     pose_b, seen_b, ray_b = _stack_view([problem.rays_b for problem in problems])
     focal = torch.tensor([problem.focal for problem in problems])
-    return Batch(
-        pose_a=pose_a,
-        pose_b=pose_b,
-        seen_a=seen_a,
-        seen_b=seen_b,
-        ray_a=ray_a,
-        ray_b=ray_b,
-        focal=focal,
-    )
+    return Batch(pose_a, pose_b, seen_a, seen_b, ray_a, ray_b, focal)
 
 
 def _stack_view(rays: list[Floats]) -> tuple[Tensor, Tensor, Tensor]:
     """Return pose, seen and ray of `Batch` for one of the views of all problems."""
     stacked = np.stack(rays)
     depth = stacked[..., 2]
-    seen = np.nan_to_num(depth) > PAPER_LEAST_RAY_DEPTH
+    seen = np.nan_to_num(depth) > _LEAST_RAY_DEPTH
     pose = stacked[..., :2] / np.where(seen, depth, 1.0)[..., None]
     pose = np.where(seen[..., None], pose, 0.0)
     ray = np.where(seen[..., None], stacked, 0.0)

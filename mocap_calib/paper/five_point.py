@@ -1,4 +1,4 @@
-"""A training-free baseline for two views in which nobody knows who is who."""
+"""The paper's baseline without a network: five-point RANSAC over matches of detections."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,15 +7,25 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from mocap_calib.config import (
-    FIVE_POINT_CONFIDENCE,
-    FIVE_POINT_LEAST_FORWARD,
-    FIVE_POINT_LEAST_JOINTS,
-    FivePointConfig,
-)
+from mocap_calib.config import FIVE_POINT_CONFIDENCE, FIVE_POINT_LEAST_FORWARD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.pairs.affinity import mutual_best
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.pairs.solve import PairProblem, judge_pair, mean_focal
+from mocap_calib.types import Bools, Floats, Ints, PairwiseCalibration
+
+
+@dataclass(frozen=True)
+class FivePointConfig:
+    """The baseline that calibrates a pair of views without lifted bodies."""
+
+    candidates: int = 60  # sets of matches that RANSAC draws
+    inlier_px: float = 6.0
+    least_fit: float = 0.6  # share of the joints of a right match that are inliers
+    ransac_iterations: int = 300
+
+
+FIVE_POINT_LEAST_JOINTS = 5  # determine an essential matrix
+
 
 RelativePose = tuple[Floats, Floats]  # R [3, 3] and t [3] of b_from_a
 
@@ -216,3 +226,39 @@ def _count_inliers(problem: _Problem, pose: RelativePose) -> float:
     share = _share(inliers, seen)
     right = mutual_best(share, least=0.0) & (share >= problem.config.least_fit)
     return float((inliers * right).sum())
+
+
+@dataclass(frozen=True)
+class FivePointPairs:
+    """A `solve.PairSolver`: RANSAC over matches of detections, five-point on their joints.
+
+    What it finds is scored as any other relative pose. focal: `[view]` pixels.
+    """
+
+    focal: Floats
+    pairwise: PairwiseConfig
+    config: FivePointConfig
+
+    def __call__(self, problem: PairProblem) -> PairwiseCalibration | None:
+        """Return the relative pose with most inliers, or None where nothing is matched."""
+        pair = problem.pair
+        if problem.shared_frames == 0:
+            return None
+        focal = mean_focal(problem, self.focal)
+        found = five_point_over_matches(
+            pair.a.rays_or_nan,
+            pair.b.rays_or_nan,
+            self.config.inlier_px / focal,
+            problem.rng,
+            config=self.config,
+        )
+        if found is None:
+            return None
+        return judge_pair(
+            problem,
+            rotation=found.rotation,
+            translation=found.translation,
+            matches=found.matches,
+            source="five-point",
+            config=self.pairwise,
+        )

@@ -7,7 +7,7 @@ SteerPose (Lee et al., BMVC 2025), section 3.2. `depths` does in torch what
 import torch
 from torch import Tensor
 
-from mocap_calib.training.steer import skew
+from mocap_calib.training.model import skew
 
 _EPSILON = 1e-12
 

@@ -1,10 +1,8 @@
 """The paper's solver: rotation and matches of two views by gradient descent through SteerPose.
 
 Lee et al., BMVC 2025, section 3.2 and appendix C.3: Adam from a random rotation on
-L_match + lambda L_geom, up to five tries until the 3D poses reproject within 10 pixels. L_geom is
-that of the system with the points eliminated, unless the whole is asked for. Kept as a measured
-reference; `pairs.solve` is the program's own. Several pairs of views and tries run in
-one batch, each as if it were alone.
+L_match + lambda L_geom, up to five tries until the 3D poses reproject within 10 pixels. A measured
+reference; `pairs.solve` is the program's own. Pairs of views and tries run in one batch.
 """
 
 import copy
@@ -15,8 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mocap_calib.config import PAPER_FAR_PX, PAPER_LEAST_JOINTS, PaperConfig
-from mocap_calib.paper.batch import Batch, TwoViews, stack_problems
+from mocap_calib.config import PairwiseConfig
+from mocap_calib.lift.lift import rays_by_joint
+from mocap_calib.pairs.solve import PairProblem, judge_pair, mean_focal
+from mocap_calib.paper.batch import LEAST_JOINTS, Batch, PaperConfig, TwoViews, stack_problems
 from mocap_calib.paper.losses import (
     depths,
     full_geometric_loss,
@@ -29,9 +29,13 @@ from mocap_calib.paper.losses import (
     translation_direction,
     with_dummies,
 )
-from mocap_calib.training.model import normalise
-from mocap_calib.training.steer import Model, matrix_from_vector, prepare_steering
-from mocap_calib.types import Floats, Ints
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.training.device import torch_threads
+from mocap_calib.training.model import Model, matrix_from_vector, normalise, prepare_steering
+from mocap_calib.types import Floats, Ints, PairwiseCalibration
+
+_FAR_PX = 100.0  # a joint reprojected farther away, or behind a camera, counts as this
+
 
 # Rotation vectors [B, 3] to the steered poses [B, F, I, N, 2] and [B, F, J, N, 2].
 SteerBoth = Callable[[Tensor], tuple[Tensor, Tensor]]
@@ -103,11 +107,6 @@ def solve_pairs(
                 best[k] = solution
             best[k] = replace(best[k], tries=number)
     return [best[k] for k in sorted(best)]
-
-
-def seeded_generator(seed: int) -> torch.Generator:
-    """Return the source of the random starts."""
-    return torch.Generator().manual_seed(seed)
 
 
 def random_rotations(count: int, generator: torch.Generator) -> Tensor:
@@ -233,12 +232,12 @@ def _solution(batch: Batch, k: int, vector: Tensor, mutual: Tensor) -> PaperSolu
     rotation = matrix_from_vector(vector.double())
     translation = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     error = float("inf")
-    if len(rays_a) >= PAPER_LEAST_JOINTS:
+    if len(rays_a) >= LEAST_JOINTS:
         weight = torch.ones(len(rays_a)).double()
         translation, _ = translation_direction(rotation, rays_a, rays_b, weight)
         errors = reprojection_error(rotation, translation, rays_a, rays_b)
         error_px = errors * batch.focal[k].item()
-        error = error_px.clamp_max(PAPER_FAR_PX).mean().item()
+        error = error_px.clamp_max(_FAR_PX).mean().item()
     matches = torch.nonzero(mutual).numpy().astype(np.int64)
     return PaperSolution(
         rotation=rotation.numpy(),
@@ -272,3 +271,43 @@ def _image_distance(point: Tensor, ray: Tensor) -> Tensor:
     projected = point[:, :2] / point[:, 2:].clamp_min(1e-9)
     seen = ray[:, :2] / ray[:, 2:]
     return (projected - seen).norm(dim=-1)
+
+
+@dataclass(frozen=True)
+class PaperPairs:
+    """A `solve.PairSolver`: gradient descent through a network from random rotations.
+
+    vocabulary: `[keypoint]` index of each keypoint in the model's joints, -1 = none.
+    focal: `[view]` pixels.
+    """
+
+    model: Model
+    vocabulary: Ints
+    focal: Floats
+    pairwise: PairwiseConfig
+    config: PaperConfig
+
+    def __call__(self, problem: PairProblem) -> PairwiseCalibration | None:
+        """Return the relative pose that the descent ends in, or None where nothing is matched."""
+        if problem.shared_frames == 0:
+            return None
+        frames = evenly_spaced(np.arange(len(problem.pair.frames)), self.config.frames)
+        generator = torch.Generator().manual_seed(int(problem.rng.integers(2**62)))
+        with torch_threads(1):
+            found = solve_pair(self._two_views(problem, frames), self.model, self.config, generator)
+        frame, instances = found.matches[:, 0], found.matches[:, 1:]
+        return judge_pair(
+            problem,
+            rotation=found.rotation,
+            translation=found.translation,
+            matches=np.column_stack([frames[frame], instances]),
+            source="paper",
+            config=self.pairwise,
+        )
+
+    def _two_views(self, problem: PairProblem, frames: Ints) -> TwoViews:
+        """Return the rays of both views in the joints of the model, in some of the frames."""
+        pair, joints = problem.pair, self.model.config.joints
+        rays_a = rays_by_joint(pair.a.rays_or_nan[frames], self.vocabulary, joints)
+        rays_b = rays_by_joint(pair.b.rays_or_nan[frames], self.vocabulary, joints)
+        return TwoViews(rays_a, rays_b, mean_focal(problem, self.focal))

@@ -1,12 +1,12 @@
-"""Ways to calibrate a pair of views, by the names that a user gives."""
+"""The solvers of pairs of views by their names; torch is imported for the paper's alone."""
 
 import numpy as np
 
-from mocap_calib.config import FivePointConfig, PairwiseConfig, PaperConfig
+from mocap_calib.config import PairwiseConfig
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import GEOMETRY_ALONE, is_token
 from mocap_calib.pairs.solve import PairSolver
-from mocap_calib.paper.five_point_pairs import FivePointPairs
+from mocap_calib.paper.five_point import FivePointConfig, FivePointPairs
 from mocap_calib.types import Recording
 
 
@@ -24,8 +24,9 @@ def choose_pair_solver(
     focal = np.array([camera.focal for camera in recording.cameras])
     if name == "five-point":
         return FivePointPairs(focal=focal, pairwise=config, config=FivePointConfig())
-    from mocap_calib.paper.paper_pairs import PaperPairs  # noqa: PLC0415
-    from mocap_calib.training.checkpoint import load_steerer  # noqa: PLC0415 - torch: over 1 s
+    from mocap_calib.paper.batch import PaperConfig  # noqa: PLC0415 - torch: over 1 s
+    from mocap_calib.paper.solver import PaperPairs  # noqa: PLC0415 - torch: over 1 s
+    from mocap_calib.training.checkpoint import load_steerer  # noqa: PLC0415
     from mocap_calib.training.model import module_of  # noqa: PLC0415
 
     steers_by_token = recording.model != GEOMETRY_ALONE and is_token(recording.model)

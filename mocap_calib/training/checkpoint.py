@@ -20,11 +20,8 @@ from mocap_calib.lift.weights import (
     read_description,
     weights_of,
 )
-from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.recording.skeleton_fields import parse_skeleton
-from mocap_calib.training.model import LifterModule
-from mocap_calib.training.steer import Architecture, Model
-from mocap_calib.training.token import TokenConfig, TokenSteerer
+from mocap_calib.training.model import LifterModule, Model, TokenConfig, TokenSteerer
 from mocap_calib.types import Skeleton
 
 
@@ -43,17 +40,12 @@ def save_model(path: Path, model: Model, skeleton: Skeleton, card: dict[str, obj
     write_bytes(path, save(tensors, metadata=metadata))
 
 
-def load_steerer(
-    name_or_path: str | Path = "people", *, architecture: Architecture = "factorised"
-) -> tuple[Model, Skeleton]:
+def load_steerer(name_or_path: str | Path = "people") -> tuple[Model, Skeleton]:
     """Return a network and its vocabulary: a shipped one by its skeleton's name, or from a file.
 
-    architecture: of a shipped one; a file says its own. Raises FormatError.
+    The weights of the paper's network have names like "people_token". Raises FormatError.
     """
-    name = str(name_or_path)
-    if name in SHIPPED and architecture == "token":
-        name = f"{name}_token"
-    with resources.as_file(weights_of(name)) as path:
+    with resources.as_file(weights_of(str(name_or_path))) as path:
         return _read(path)
 
 

@@ -11,12 +11,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mocap_calib.config import HIDDEN_LIMBS, OUTLIER_NOISE, TRAINING_JOINTS, TrainConfig
-from mocap_calib.training.draws import Draws
-from mocap_calib.training.layouts import class_of_joint, limbs, symmetry_classes
+from mocap_calib.training.config import HIDDEN_LIMBS, OUTLIER_NOISE, TRAINING_JOINTS, TrainConfig
+from mocap_calib.training.draws import (
+    Draws,
+    class_of_joint,
+    limbs,
+    rotation_about_z,
+    symmetry_classes,
+    upright_views,
+)
 from mocap_calib.training.model import normalise
 from mocap_calib.training.poses import PoseSet
-from mocap_calib.training.views import rotation_about_z, upright_views
 from mocap_calib.types import Skeleton
 
 _LEG = ("hip", "knee", "ankle")

@@ -1,15 +1,21 @@
-"""The factorised SteerPose: lift a 2D pose, rotate it analytically, project it.
+"""The networks: the factorised SteerPose, the paper's with a rotation token, and steering by both.
 
 Projection is linear in the 3D pose, so the minimiser of the squared keypoint error of SteerPose
 (Lee et al., BMVC 2025, eq. 1) is q*(R) = P R E[X | p]: the posterior mean of the 3D pose X given
-the 2D pose p, rotated by R and projected by P. The network therefore estimates X from p alone; it
-is covariant to R by construction, and another R costs no network pass.
+the 2D pose p, rotated by R and projected by P. The factorised network therefore estimates X from p
+alone; it is covariant to R by construction, and another R costs no network pass. The rotation-token
+network (section 3.1 and appendix C) is kept as a measured reference.
 """
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
+from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.lift.lifter import LOG_DEVIATIONS, Lifter, ModelConfig
+from mocap_calib.training.config import PAPER_LAYERS, PAPER_WIDTH
 
 
 class LifterModule(nn.Module):
@@ -91,3 +97,136 @@ def normalise(pose: Tensor, seen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     square = offset.square().sum((1, 2)) / count[:, 0]  # (B,)
     scale = square.sqrt().clamp_min(1e-9)
     return offset / scale[:, None, None], centre, scale
+
+
+@dataclass(frozen=True)
+class TokenConfig:
+    """Size of the network; saved inside the checkpoint.
+
+    The paper does not give the number of heads and the width of the feed-forward layers.
+    """
+
+    joints: int
+    width: int = PAPER_WIDTH
+    layers: int = PAPER_LAYERS
+    heads: int = ENCODER_HEADS
+
+
+class TokenSteerer(nn.Module):
+    """Predict a 2D pose in a rotated view from the pose and the rotation: q(R) of section 3.1.
+
+    N joint tokens and one rotation token, each through an MLP, plus N + 1 learnt positional
+    embeddings; a transformer encoder; mean pooling to one vector; an MLP to N x 2. A joint that is
+    not seen is masked: a learnt vector takes the place of its token.
+    """
+
+    def __init__(self, config: TokenConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.position = _mlp(2, width, width)
+        self.rotation = _mlp(3, width, width)
+        self.missing = nn.Parameter(0.02 * torch.randn(width))
+        self.embedding = nn.Parameter(0.5 * torch.randn(config.joints + 1, width))
+        self.encoder = transformer_encoder(width, heads=config.heads, layers=config.layers)
+        self.head = _mlp(width, 4 * width, 2 * config.joints)
+
+    def forward(self, pose: Tensor, seen: Tensor, vector: Tensor) -> Tensor:
+        """Steer a batch of poses.
+
+        pose: `[B, J, 2]` centred and scaled by `model.normalise`; seen: `[B, J]` bool; vector:
+        `[B, 3]` Rodrigues vector, in radians, of the rotation from the pose's view to the other.
+        Returns `[B, J, 2]` in the units of the input.
+        """
+        known = torch.where(seen[..., None], pose, torch.zeros_like(pose))  # (B, J, 2)
+        joints = torch.where(seen[..., None], self.position(known), self.missing)  # (B, J, C)
+        rotation = self.rotation(vector)[:, None]  # (B, 1, C)
+        token = torch.cat([joints, rotation], dim=1) + self.embedding  # (B, J + 1, C)
+        pooled = self.encoder(token).mean(1)  # (B, C)
+        return self.head(pooled).view(len(pose), -1, 2)  # (B, J, 2)
+
+
+def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    """Return a perceptron with one hidden layer."""
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.GELU(), nn.Linear(hidden, outputs))
+
+
+Model = LifterModule | TokenSteerer
+
+
+def steer(model: Model, pose: Tensor, seen: Tensor, vector: Tensor) -> Tensor:
+    """Return q(R) of the paper (section 3.1): the poses `[B, J, 2]` in the rotated views.
+
+    pose: `[B, J, 2]` centred and scaled by `model.normalise`; seen: `[B, J]` bool; vector: `[B, 3]`
+    Rodrigues vectors in radians. The result is in the units of the input, and complete: joints
+    that are not seen are predicted. A vector of zeros completes the pose in its own view.
+    """
+    return prepare_steering(model, pose, seen)(vector)
+
+
+@torch.no_grad()
+def complete(model: Model, pose: Tensor, seen: Tensor) -> Tensor:
+    """Return poses `[B, J, 2]` with the joints that are not seen where the network expects them.
+
+    By no rotation: appendix D of the paper. pose: `[B, J, 2]` centred and scaled by
+    `model.normalise`; seen: `[B, J]` bool.
+    """
+    no_rotation = torch.zeros(len(pose), 3, dtype=pose.dtype, device=pose.device)
+    predicted = steer(model, pose, seen, no_rotation)  # (B, J, 2)
+    return torch.where(seen[..., None], pose, predicted)
+
+
+def prepare_steering(model: Model, pose: Tensor, seen: Tensor) -> Callable[[Tensor], Tensor]:
+    """Return a function from rotation vectors `[B, 3]` to the steered poses `[B, J, 2]`.
+
+    For many rotations of the same poses, as in `steer`: what does not depend on R is done once. The
+    factorised model lifts here and only rotates afterwards; the rotation-token model needs the
+    whole network for each rotation.
+    """
+    if not isinstance(model, LifterModule):
+        return lambda vector: model(pose, seen, shortest(vector))
+    body, _ = model(pose, seen)  # (B, J, 3)
+
+    def rotate_and_project(vector: Tensor) -> Tensor:
+        """Return P R X `[B, J, 2]` of rotation vectors `[B, 3]`."""
+        projection = matrix_from_vector(vector)[:, :2]  # (B, 2, 3)
+        return torch.einsum("bij,bkj->bki", projection, body)  # (B, J, 2)
+
+    return rotate_and_project
+
+
+def matrix_from_vector(vector: Tensor) -> Tensor:
+    """Return the rotation matrices `[..., 3, 3]` of Rodrigues vectors `[..., 3]` in radians.
+
+    Rodrigues' formula, differentiable also at zero. The numpy form is
+    `geometry.rotation.matrix_from_vector`; this one has gradients.
+    """
+    angle2 = vector.square().sum(-1)[..., None, None]  # (..., 1, 1)
+    small = angle2 <= 1e-12
+    safe = torch.where(angle2 > 1e-12, angle2, torch.ones_like(angle2)).sqrt()
+    first = torch.where(small, 1 - angle2 / 6, safe.sin() / safe)
+    second = torch.where(small, 0.5 - angle2 / 24, (1 - safe.cos()) / safe.square())
+    cross = skew(vector)
+    eye = torch.eye(3, dtype=vector.dtype, device=vector.device)
+    return eye + first * cross + second * (cross @ cross)
+
+
+def skew(vector: Tensor) -> Tensor:
+    """Return the cross product with vectors `[..., 3]` as matrices `[..., 3, 3]`.
+
+    The numpy form is `geometry.rotation.skew`; this one has gradients.
+    """
+    x, y, z = vector.unbind(-1)
+    zero = torch.zeros_like(x)
+    entries = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1)  # (..., 9)
+    return entries.reshape(*vector.shape, 3)  # (..., 3, 3)
+
+
+def shortest(vector: Tensor) -> Tensor:
+    """Return the Rodrigues vectors `[..., 3]` of the same rotations that are at most pi long.
+
+    The rotation-token network was trained with no others.
+    """
+    angle = vector.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    turns = torch.round(angle / (2 * torch.pi)).detach()
+    return vector * (1 - 2 * torch.pi * turns / angle)

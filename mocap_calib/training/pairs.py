@@ -9,13 +9,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mocap_calib.config import LAYOUT_DROPOUT, TRAINING_JOINTS, PairsConfig
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.training.draws import Draws
-from mocap_calib.training.layouts import class_of_joint, symmetry_classes
+from mocap_calib.training.config import LAYOUT_DROPOUT, TRAINING_JOINTS, PairsConfig
+from mocap_calib.training.draws import (
+    Draws,
+    class_of_joint,
+    hemisphere_views,
+    rotation_about_z,
+    symmetry_classes,
+)
 from mocap_calib.training.model import normalise
 from mocap_calib.training.poses import PoseSet, Split
-from mocap_calib.training.views import hemisphere_views, rotation_about_z
 from mocap_calib.types import Ints, Skeleton
 
 

@@ -5,24 +5,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.config import OWN_SPECIES_TRAINING, TrainConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.read import read_poses
 from mocap_calib.recording.joints import load_section, load_skeleton
-from mocap_calib.training.own_species import (
-    own_poses,
-    own_skeleton,
-    up_direction,
-    up_of_rig,
-)
+from mocap_calib.training.config import OWN_SPECIES_TRAINING, TrainConfig
 from mocap_calib.training.poses import (
     PoseSet,
     Split,
     load_poses,
     mix,
+    own_poses,
+    own_skeleton,
     procedural_poses,
     shares_by_size,
+    up_direction,
+    up_of_rig,
 )
 from mocap_calib.types import Floats, Skeleton
 

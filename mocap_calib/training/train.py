@@ -1,4 +1,4 @@
-"""Train the networks; the same seed gives the same weights on the same machine."""
+"""Train the networks and measure their errors; a seed gives the same weights on a machine."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, replace
@@ -7,15 +7,23 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from mocap_calib.config import LARGEST_GRADIENT, WARM_UP, WEIGHT_DECAY, PairsConfig, TrainConfig
 from mocap_calib.errors import FormatError
 from mocap_calib.lift.lifter import ModelConfig
-from mocap_calib.training.dataset import Synthesiser
-from mocap_calib.training.losses import displacement, lifting_loss
-from mocap_calib.training.model import LifterModule
+from mocap_calib.training.config import (
+    EVALUATION_EXAMPLES,
+    EVALUATION_SEED,
+    EVALUATION_SEED_OF_ANGLES,
+    LARGEST_GRADIENT,
+    UNCERTAINTY_WEIGHT,
+    WARM_UP,
+    WEIGHT_DECAY,
+    PairsConfig,
+    TrainConfig,
+)
+from mocap_calib.training.dataset import Batch, Synthesiser
+from mocap_calib.training.model import LifterModule, Model, TokenConfig, TokenSteerer, steer
 from mocap_calib.training.pairs import PairSynthesiser
 from mocap_calib.training.poses import PoseSet
-from mocap_calib.training.token import TokenConfig, TokenSteerer
 from mocap_calib.types import Progress, Skeleton
 
 
@@ -122,3 +130,107 @@ def model_card(
         "config": asdict(config),
         "held_out_error": errors,
     }
+
+
+_EPSILON = 1e-8  # the root has a gradient also at zero
+
+
+def displacement(steered: Tensor, target: Tensor) -> Tensor:
+    """Return the mean keypoint displacement `[B]`, D(q, p') of the paper's eq. 1.
+
+    steered and target: poses `[B, J, 2]`.
+    """
+    square = (steered - target).square().sum(-1)  # (B, J)
+    return torch.sqrt(square + _EPSILON).mean(-1)
+
+
+def lifting_loss(lifter: LifterModule, batch: Batch) -> Tensor:
+    """Return the scalar loss of a lifter on a batch `[B, J, ...]`, over the joints with a target.
+
+    The mean joint distance (the paper's eq. 1 in 3D, which bounds it for every R), plus the
+    Laplace likelihood of the errors that remain across the ray and along it.
+    """
+    joints, log_deviation = lifter(batch.pose, batch.seen)  # (B, J, 3), (B, J, 2)
+    known = torch.isfinite(batch.target[..., 0])
+    error = torch.where(known[..., None], joints - batch.target.nan_to_num(), 0.0)
+    distance = torch.sqrt(error.square().sum(-1) + _EPSILON)  # (B, J)
+    across = error[..., :2].detach().norm(dim=-1)
+    along = error[..., 2].detach().abs()
+    remaining = torch.stack([across, along], -1)  # (B, J, 2)
+    likelihood = (remaining * torch.exp(-log_deviation) + log_deviation).mean(-1)
+    return ((distance + UNCERTAINTY_WEIGHT * likelihood) * known).sum() / known.sum()
+
+
+@torch.no_grad()
+def held_out_error(
+    lifter: LifterModule,
+    poses: PoseSet,
+    skeleton: Skeleton,
+    config: TrainConfig,
+    *,
+    examples: int = EVALUATION_EXAMPLES,
+) -> dict[str, float]:
+    """Return the errors of a lifter on unseen poses, in units of the visible pose's RMS radius.
+
+    joint_3d: mean joint distance.
+    steered_2d: mean keypoint displacement (the paper's eq. 1) after a rotation about the vertical
+        drawn uniformly.
+    completed_2d: the same without rotation, over the joints that were not seen.
+    """
+    batch = Synthesiser(poses, skeleton, config, seed=EVALUATION_SEED).batch(examples)
+    joints, _ = lifter(batch.pose, batch.seen)
+    error = joints - batch.target  # (B, J, 3)
+    steered = _project_turned(error)
+    hidden = error[..., :2].norm(dim=-1)[~batch.seen]
+    return {
+        "joint_3d": _rounded_mean(error.norm(dim=-1)),
+        "steered_2d": _rounded_mean(steered.norm(dim=-1)),
+        "completed_2d": _rounded_mean(hidden),
+    }
+
+
+@torch.no_grad()
+def measure_steering_error(
+    model: Model,
+    poses: PoseSet,
+    skeleton: Skeleton,
+    config: PairsConfig,
+    *,
+    examples: int = EVALUATION_EXAMPLES,
+) -> dict[str, float]:
+    """Return the errors of either architecture on pairs and poses that were held out.
+
+    In units of the visible pose's RMS radius.
+
+    steered_2d: L_kp (eq. 1).
+    identity_2d: the displacement of the seen joints when nothing is turned, without noise.
+    """
+    batch = PairSynthesiser(poses, skeleton, config, split="test", seed=EVALUATION_SEED).batch(
+        examples
+    )
+    steered = steer(model, batch.pose, batch.seen, batch.vector)
+    exact = replace(config, noise=1e-6)
+    still = PairSynthesiser(poses, skeleton, exact, split="test", seed=EVALUATION_SEED).batch(
+        examples
+    )
+    unturned = steer(model, still.pose, still.seen, torch.zeros_like(still.vector))
+    seen = still.seen[..., None]
+    square = torch.where(seen, (unturned - still.pose).square(), torch.zeros_like(unturned))
+    identity = square.sum(-1).sqrt()[still.seen]
+    return {
+        "steered_2d": round(displacement(steered, batch.target).mean().item(), 4),
+        "identity_2d": round(identity.mean().item(), 4),
+    }
+
+
+def _project_turned(error: Tensor) -> Tensor:
+    """Return errors `[B, J, 3]` in the image `[B, J, 2]` after random turns about the vertical."""
+    generator = torch.Generator().manual_seed(EVALUATION_SEED_OF_ANGLES)
+    angle = 2 * torch.pi * torch.rand(len(error), 1, generator=generator)
+    across = error[..., 0] * angle.cos() + error[..., 2] * angle.sin()
+    return torch.stack([across, error[..., 1]], -1)
+
+
+def _rounded_mean(values: Tensor) -> float:
+    """Return the mean of values `[...]`, those that are not known left out, to four digits."""
+    return round(values.nanmean().item(), 4)

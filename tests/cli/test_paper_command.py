@@ -10,8 +10,8 @@ from scenes import rotation_errors_deg
 
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.read import read_rig
-from mocap_calib.paper import paper_pairs
-from mocap_calib.training.token import TokenSteerer
+from mocap_calib.paper import solver
+from mocap_calib.training.model import TokenSteerer
 from mocap_calib_cli.commands import run, simulate
 
 SCENE = ["--people", "1", "--cameras", "2", "--frames", "8", "--quiet"]
@@ -27,7 +27,7 @@ def test_a_rotation_token_calibrates_by_the_papers_solver_alone(tmp_path, monkey
     runner.invoke(simulate.command, [*SCENE, "-o", str(made)], catch_exceptions=False)
     truth = read_rig(made / "reference.toml")
     near = torch.from_numpy(vector_from_matrix(truth.relative(0, 1)[0])).float() + 0.06
-    steered, solve = [], paper_pairs.solve_pair
+    steered, solve = [], solver.solve_pair
 
     def solve_from_near(*arguments: Any) -> Any:
         """Do what the solver does, in less time."""
@@ -36,7 +36,7 @@ def test_a_rotation_token_calibrates_by_the_papers_solver_alone(tmp_path, monkey
         few = replace(config, iterations=20, tries=1)
         return solve(views, model, few, generator, start=near)
 
-    monkeypatch.setattr(paper_pairs, "solve_pair", solve_from_near)
+    monkeypatch.setattr(solver, "solve_pair", solve_from_near)
     files = [str(made / "keypoints"), "--cameras", str(made / "intrinsics.toml"), "--no-report"]
     asked = [*files, "--quiet", "--model", "people_token", "-o"]
     done = runner.invoke(run.command, [*asked, str(tmp_path / "out"), "--solver", "paper"])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from mocap_calib.config import TrainConfig
 from mocap_calib.errors import FormatError
 from mocap_calib.lift.lifter import ModelConfig
 from mocap_calib.lift.loading import load_lifter
@@ -26,12 +25,11 @@ from mocap_calib.synthetic.procedural import (
     sample_bones,
     sample_turns,
 )
+from mocap_calib.training.config import TrainConfig
 from mocap_calib.training.dataset import Synthesiser
-from mocap_calib.training.evaluation import held_out_error
-from mocap_calib.training.losses import lifting_loss
 from mocap_calib.training.model import LifterModule
 from mocap_calib.training.poses import PoseSet, load_poses, mix, procedural_poses
-from mocap_calib.training.train import train_lifter, training_config
+from mocap_calib.training.train import held_out_error, lifting_loss, train_lifter, training_config
 from mocap_calib.types import silent
 
 ANIMALS = [name for name in SHIPPED if name != "people"]

@@ -17,7 +17,7 @@ from mocap_calib.lift.completion import complete_sample
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.loading import load_lifter
 from mocap_calib.training.checkpoint import load_steerer
-from mocap_calib.training.steer import complete
+from mocap_calib.training.model import complete
 from mocap_calib.types import silent
 
 PLAIN = {"people": 1, "false_detections": 0.0, "outliers": 0.0, "missing": 0.0}

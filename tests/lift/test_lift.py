@@ -17,8 +17,8 @@ from mocap_calib.lift.completion import _confidence_of_lifted
 from mocap_calib.lift.lift import _DOWN, _centre, _confident_rays, _lift_rays, _Lifting, lift
 from mocap_calib.lift.lifter import _LARGEST_SCORE, _attend, _gelu
 from mocap_calib.lift.loading import choose_model, load_lifter
-from mocap_calib.training import evaluation
-from mocap_calib.training.evaluation import _project_turned
+from mocap_calib.training import train
+from mocap_calib.training.train import _project_turned
 from mocap_calib.types import silent
 
 
@@ -130,8 +130,8 @@ def test_a_network_is_as_wrong_as_its_mean_joint(monkeypatch):
     target = torch.rand(3, 5, 3, generator=torch.Generator().manual_seed(0))
     batch = SimpleNamespace(pose=pose, seen=seen, target=target)
     made = SimpleNamespace(batch=lambda _: batch)
-    monkeypatch.setattr(evaluation, "Synthesiser", lambda *_, **__: made)
-    found = evaluation.held_out_error(
+    monkeypatch.setattr(train, "Synthesiser", lambda *_, **__: made)
+    found = train.held_out_error(
         lambda *_: (target + torch.tensor([0.0, 1.0, 0.0]), None), None, None, None
     )
     assert found == pytest.approx({"joint_3d": 1.0, "steered_2d": 1.0, "completed_2d": 1.0})

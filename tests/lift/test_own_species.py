@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from scenes import calibrate_group, calibrated, recording, rotation_errors_deg, scene
 
-from mocap_calib.config import OWN_SPECIES_TRAINING, PairwiseConfig, PaperConfig
+from mocap_calib.config import PairwiseConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.lift.loading import load_lifter
-from mocap_calib.paper.paper_pairs import PaperPairs
+from mocap_calib.paper.batch import PaperConfig
+from mocap_calib.paper.solver import PaperPairs
 from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.training.config import OWN_SPECIES_TRAINING
 from mocap_calib.training.model import module_of
-from mocap_calib.training.own_species import own_poses, own_skeleton, up_of_rig
+from mocap_calib.training.poses import own_poses, own_skeleton, up_of_rig
 from mocap_calib.training.sources import TrainingSource, load_vocabulary
 from mocap_calib.types import CameraRig, Poses3D
 

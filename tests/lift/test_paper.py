@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from mocap_calib.config import PairsConfig, PaperConfig, TrainConfig
 from mocap_calib.geometry.epipolar import depths as depths_numpy
 from mocap_calib.geometry.rotation import (
     angle_between,
@@ -19,7 +18,7 @@ from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
 from mocap_calib.lift.lifter import ModelConfig
 from mocap_calib.lift.loading import load_lifter
 from mocap_calib.paper import solver
-from mocap_calib.paper.batch import TwoViews
+from mocap_calib.paper.batch import PaperConfig, TwoViews
 from mocap_calib.paper.five_point import estimate_by_loransac, five_point_over_matches
 from mocap_calib.paper.losses import (
     collinearity_system,
@@ -38,14 +37,19 @@ from mocap_calib.paper.solver import PaperSolution, random_rotations, solve_pair
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.synthetic import people
 from mocap_calib.training.checkpoint import load_steerer, save_model
-from mocap_calib.training.evaluation import measure_steering_error
-from mocap_calib.training.model import LifterModule
+from mocap_calib.training.config import PairsConfig, TrainConfig
+from mocap_calib.training.draws import fibonacci_hemisphere, hemisphere_views
+from mocap_calib.training.model import (
+    LifterModule,
+    TokenConfig,
+    TokenSteerer,
+    matrix_from_vector,
+    shortest,
+    steer,
+)
 from mocap_calib.training.pairs import PairSynthesiser
 from mocap_calib.training.poses import PoseSet
-from mocap_calib.training.steer import matrix_from_vector, shortest, steer
-from mocap_calib.training.token import TokenConfig, TokenSteerer
-from mocap_calib.training.train import train_steerer
-from mocap_calib.training.views import fibonacci_hemisphere, hemisphere_views
+from mocap_calib.training.train import measure_steering_error, train_steerer
 from mocap_calib.types import silent
 
 PEOPLE = load_skeleton("people")

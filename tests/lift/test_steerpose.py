@@ -8,7 +8,6 @@ import pytest
 import torch
 from scenes import recording, scene
 
-from mocap_calib.config import TrainConfig
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.lift.lift import lift, rays_by_joint
@@ -17,11 +16,11 @@ from mocap_calib.lift.loading import load_lifter
 from mocap_calib.recording.joints import load_skeleton, match_names, normalise_name
 from mocap_calib.synthetic import people
 from mocap_calib.training.checkpoint import load_steerer, save_model
+from mocap_calib.training.config import TrainConfig
 from mocap_calib.training.dataset import Batch, Synthesiser, _target
-from mocap_calib.training.losses import lifting_loss
 from mocap_calib.training.model import LifterModule, lifter_of, module_of, normalise
 from mocap_calib.training.poses import PoseSet, load_poses
-from mocap_calib.training.train import optimise, train_lifter
+from mocap_calib.training.train import lifting_loss, optimise, train_lifter
 from mocap_calib.types import silent
 
 PEOPLE = load_skeleton("people")

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from scenes import lifted, recording, scene
 
-from mocap_calib.config import FivePointConfig, PairwiseConfig, PaperConfig
+from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.kernels.pair_refinement import LANES
 from mocap_calib.pairs.refine import refine_poses
 from mocap_calib.pairs.solve import calibrate_pair, calibrate_pairs, pair_problem
 from mocap_calib.pairs.view_pair import MatchedRays
-from mocap_calib.paper.five_point_pairs import FivePointPairs
-from mocap_calib.paper.paper_pairs import PaperPairs
+from mocap_calib.paper.batch import PaperConfig
+from mocap_calib.paper.five_point import FivePointConfig, FivePointPairs
+from mocap_calib.paper.solver import PaperPairs
 from mocap_calib.types import PairwiseCalibration, Recording, silent
 
 

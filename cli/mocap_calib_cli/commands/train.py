@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mocap_calib.config import ENCODER_HEADS, PAPER_LAYERS, PAPER_WIDTH, PairsConfig, TrainConfig
+from mocap_calib.config import ENCODER_HEADS
+from mocap_calib.training.config import PAPER_LAYERS, PAPER_WIDTH, PairsConfig, TrainConfig
 from mocap_calib_cli import options, values
 from mocap_calib_cli.numbers import COUNT, POSITIVE, SHARE, WholeNumber
 
 if TYPE_CHECKING:
+    from mocap_calib.training.model import Model
     from mocap_calib.training.poses import PoseSet
     from mocap_calib.training.sources import TrainingSource
-    from mocap_calib.training.steer import Model
     from mocap_calib.types import Progress, Skeleton
 
 _DEFAULT = TrainConfig()
@@ -191,8 +192,7 @@ def _train_lifter(
     progress: "Progress",
 ) -> "tuple[Model, dict[str, float]]":
     """Return our network, trained, and its errors on the poses for testing."""
-    from mocap_calib.training.evaluation import held_out_error
-    from mocap_calib.training.train import train_lifter
+    from mocap_calib.training.train import held_out_error, train_lifter
 
     lifter = train_lifter(training, vocabulary, config, device=device, progress=progress)
     return lifter, held_out_error(lifter.cpu(), testing, vocabulary, config)
@@ -208,8 +208,7 @@ def _train_steerer(
     progress: "Progress",
 ) -> "tuple[Model, dict[str, float]]":
     """Return the network of the paper, trained, and its errors on the poses for testing."""
-    from mocap_calib.training.evaluation import measure_steering_error
-    from mocap_calib.training.train import train_steerer
+    from mocap_calib.training.train import measure_steering_error, train_steerer
 
     pairs = PairsConfig()
     steerer = train_steerer(training, vocabulary, config, pairs, device=device, progress=progress)
