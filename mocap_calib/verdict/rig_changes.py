@@ -1,9 +1,9 @@
-"""Which cameras of a rig stand elsewhere than a calibration says, by a second look at the rig.
+"""Which cameras were moved since a calibration, by a rig that was adjusted to keypoints.
 
-The calibration and a rig that was adjusted anew differ by a similarity, which means nothing, by
-what the keypoints do not determine, which the covariance of the adjustment knows, by what models of
-lenses and detectors do not know, which all cameras share, and where a camera was moved. So cameras
-are set free until the rest agree: a camera was moved where the rest go together so much better
+The calibration and the adjusted rig differ by a similarity, which means nothing, by what the
+keypoints leave open, which the covariance of the adjustment has, by what models of lenses and
+detectors do not know, which all cameras share, and where a camera was moved. Cameras are set free
+one after the other until the rest agree: a camera was moved where the rest agree so much better
 without it that chance does not explain it (Fisher's ratio of variances: what it explains, over what
 the rest still disagree by).
 """
@@ -15,8 +15,8 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
-from mocap_calib.geometry.gauge import gauge_of, rig_change
-from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.geometry.gauge import gauge_of, rig_size
+from mocap_calib.geometry.rotation import angle_between, vector_from_matrix
 from mocap_calib.records import Record
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, RigCovariance
 from mocap_calib.verdict.evaluation import lay_over
@@ -62,75 +62,59 @@ def find_changes(
 
     covariances: of the adjusted rig, as of `cautious_covariances`.
     """
-    covariance, _ = covariances
-    problem = _Problem.of(given, adjusted, covariances, config)
-    if problem.views == 2:
-        return _compare_two(problem, covariance, config)
-    moved = _significant(problem, _explaining(problem), config)
-    refitted = lay_over(adjusted, given, problem.others(moved))
-    left = np.delete(_angles(given, refitted), moved)
+    rigs = _Rigs.of(given, adjusted, covariances, config)
+    if len(given) == 2:
+        return _compare_two(rigs, covariances[0], config)
+    moved = _find_moved(rigs, config)
+    refitted = lay_over(adjusted, given, rigs.others(moved))
+    left = np.delete(np.asarray(angle_between(given.rotation, refitted.rotation)), moved)
     if np.rad2deg(left.max()) > VERDICT_LIMITS_DEG[2]:  # another rig: no camera of it is to blame
-        moved, refitted = [], lay_over(adjusted, given, problem.others([]))
-    alone = _aligned_turns(given, refitted, covariance)
-    for view in range(problem.views):
-        free = {*moved, view}
-        if len(problem.others(free)) >= 2:
-            alone[:, view] = problem.free_pose(view, free)
-    turn, shift, turn_sigma, shift_sigma = alone
+        moved, refitted = [], lay_over(adjusted, given, rigs.others([]))
+    poses = np.array([rigs.change_of(view, {*moved, view}) for view in range(len(given))]).T
+    turn, shift, turn_sigma, shift_sigma = poses
+    cost, freedom = rigs.disagreement(moved)
     return RigChange(
-        moved=np.isin(np.arange(problem.views), moved),
+        moved=np.isin(np.arange(len(given)), moved),
         turn=turn,
         shift=shift,
         turn_sigma=turn_sigma,
         shift_sigma=shift_sigma,
-        difference=_angles(given, refitted),
-        disagreement=problem.cost(moved) / problem.freedom(moved),
+        difference=np.asarray(angle_between(given.rotation, refitted.rotation)),
+        disagreement=cost / freedom,
         refitted=refitted,
     )
 
 
-def _aligned_turns(given: CameraRig, refitted: CameraRig, covariance: RigCovariance) -> Floats:
-    """Return turn, shift and their errors `[4, view]` of two rigs that are aligned as a whole.
-
-    Two cameras alone can be aligned at any distance: shifts are not known.
-    """
-    unknown = np.full(len(given), np.nan)
-    return np.stack([_angles(given, refitted), unknown, covariance.rotation_sigma, unknown])
-
-
-def _compare_two(problem: "_Problem", covariance: RigCovariance, config: Config) -> RigChange:
-    """Return whether two cameras stand otherwise to each other than was given."""
-    given, both = problem.given, np.arange(2)
-    refitted = lay_over(problem.adjusted, given, both)
-    before, after = given.relative(0, 1)[0], problem.adjusted.relative(0, 1)[0]
-    turn = float(angle_between(before, after))
-    disagreement = problem.cost([]) / problem.freedom([])
-    chance = chdtrc(problem.freedom([]), problem.cost([]) / config.verify.pair_disagreement)
+def _compare_two(rigs: "_Rigs", covariance: RigCovariance, config: Config) -> RigChange:
+    """Return whether the relative pose of two cameras is another than was given."""
+    given, adjusted = rigs.given, rigs.adjusted
+    turn = float(angle_between(given.relative(0, 1)[0], adjusted.relative(0, 1)[0]))
+    cost, freedom = rigs.disagreement([])
+    chance = chdtrc(freedom, cost / config.verify.pair_disagreement)
     moved = chance < config.verify.significance and np.rad2deg(turn) > VERDICT_LIMITS_DEG[0]
+    unknown, both = np.full(2, np.nan), np.arange(2)
     return RigChange(
         moved=np.full(2, moved),
         turn=np.full(2, turn),
-        shift=np.full(2, np.nan),
+        shift=unknown,
         turn_sigma=np.full(2, covariance.pair_rotation_sigma[0, 1]),
-        shift_sigma=np.full(2, np.nan),
+        shift_sigma=unknown,
         difference=np.full(2, turn),
-        disagreement=disagreement,
-        refitted=refitted,
+        disagreement=cost / freedom,
+        refitted=lay_over(adjusted, given, both),
     )
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """Least squares of what two rigs differ by.
+class _Rigs:
+    """Two rigs of the same cameras, and the covariance of what they differ by.
 
-    basis: `[6 view, 6 view - 7]` changes of poses that no similarity makes.
-    precision: inverse covariance of the difference in this basis.
+    covariance: `[view, 6, view, 6]`, as that of `RigCovariance`.
     """
 
     given: CameraRig
     adjusted: CameraRig
-    basis: Floats
-    precision: Floats
+    covariance: Floats
 
     @classmethod
     def of(
@@ -139,117 +123,100 @@ class _Problem:
         adjusted: CameraRig,
         covariances: tuple[RigCovariance, RigCovariance],
         config: Config,
-    ) -> "_Problem":
-        """Return the problem of two rigs.
+    ) -> "_Rigs":
+        """Return two rigs with the covariance of their difference.
 
-        The covariance has the shape of that of independent errors, which says best what the images
-        show, and the size of the one that errors really have.
+        It has the shape of that of independent errors, which says best what the images show, and
+        the size of the one that errors really have.
         """
         size = _POSE * len(given)
-        whole = np.linalg.svd(gauge_of(adjusted).reshape(size, _GAUGE), full_matrices=True)[0]
-        basis = whole[:, _GAUGE:]
-        real, independent = (
-            basis.T @ covariance.matrix.reshape(size, size) @ basis for covariance in covariances
-        )
-        excess = np.trace(np.linalg.solve(independent, real)) / len(real)
-        floor = np.deg2rad(config.verify.least_error_deg) ** 2 * np.eye(len(real))
-        precision = np.linalg.inv(max(1.0, excess) * independent + floor)
-        return cls(given, adjusted, basis, precision)
-
-    @property
-    def views(self) -> int:
-        """Number of cameras."""
-        return len(self.given)
+        gauge = gauge_of(adjusted).reshape(size, _GAUGE)
+        basis = np.linalg.svd(gauge, full_matrices=True)[0][:, _GAUGE:]
+        real, independent = (each.matrix.reshape(size, size) for each in covariances)
+        inside = [basis.T @ each @ basis for each in (independent, real)]
+        excess = np.trace(np.linalg.solve(*inside)) / basis.shape[1]
+        floor = np.deg2rad(config.verify.least_error_deg) ** 2 * np.eye(size)
+        whole = max(1.0, excess) * independent + floor
+        return cls(given, adjusted, whole.reshape(len(given), _POSE, len(given), _POSE))
 
     def others(self, free: Iterable[int]) -> Ints:
         """Return the views (indices) that are not free."""
-        return np.setdiff1d(np.arange(self.views), np.array(list(free), dtype=np.int64))
+        return np.setdiff1d(np.arange(len(self.given)), np.array(list(free), dtype=np.int64))
 
-    def freedom(self, free: Iterable[int]) -> int:
-        """Return how many numbers say that the views that are not free go together."""
-        return _POSE * len(self.others(free)) - _GAUGE
+    def _difference(self, rest: Ints) -> Floats:
+        """Return what the rigs differ by `[view, 6]`, aligned by the views of the rest."""
+        aligned = lay_over(self.given, self.adjusted, rest)
+        turn = vector_from_matrix(np.swapaxes(self.adjusted.rotation, 1, 2) @ aligned.rotation)
+        shift = (aligned.centres - self.adjusted.centres) / rig_size(self.adjusted)
+        return np.concatenate([turn, shift], axis=1)
 
-    def cost(self, free: Iterable[int]) -> float:
-        """Return the squared difference in standard deviations, where some views are free."""
-        return self._solve(free)[0]
+    def disagreement(self, free: Iterable[int]) -> tuple[float, int]:
+        """Return the squared Mahalanobis distance of the views that are not free, and its freedom.
 
-    def free_pose(self, view: int, free: Iterable[int]) -> tuple[float, float, float, float]:
+        In the changes of their poses that no similarity makes.
+        """
+        rest = self.others(free)
+        size = _POSE * len(rest)
+        gauge = gauge_of(self.adjusted)[rest].reshape(size, _GAUGE)
+        basis = np.linalg.svd(gauge, full_matrices=True)[0][:, _GAUGE:]
+        left = basis.T @ self._difference(rest)[rest].ravel()
+        covariance = self.covariance[rest][:, :, rest].reshape(size, size)
+        cost = left @ np.linalg.solve(basis.T @ covariance @ basis, left)
+        return float(cost), size - _GAUGE
+
+    def change_of(self, view: int, free: set[int]) -> tuple[float, float, float, float]:
         """Return turn (radians) and shift (rig sizes) of a free view, and the errors of both.
 
-        The errors hold also where the other views disagree by more than they should.
+        As the others have them; the errors hold also where these disagree by more than they should.
+        NaN for shifts where a single camera is left: two are aligned at any distance.
         """
-        free = sorted(free)
-        cost, poses, covariance = self._solve(free)
-        freedom = self.freedom(free)
-        scale = max(1.0, cost / freedom) if freedom > 0 else 1.0
-        start = _POSE * free.index(view)
-        pose = poses[start : start + _POSE]
-        variance = scale * np.diag(covariance)[start : start + _POSE]
-        return (
-            float(np.linalg.norm(pose[:3])),
-            float(np.linalg.norm(pose[3:])),
-            float(np.sqrt(variance[:3].sum())),
-            float(np.sqrt(variance[3:].sum())),
-        )
-
-    def _solve(self, free: Iterable[int]) -> tuple[float, Floats, Floats]:
-        """Return the least cost, and the poses of the free views with their covariance."""
-        free = sorted(free)
         rest = self.others(free)
-        aligned = lay_over(self.given, self.adjusted, rest)
-        left = self.basis.T @ rig_change(self.adjusted, aligned).ravel()
-        columns = np.eye(_POSE * self.views).reshape(-1, self.views, _POSE)[:, free]
-        slope = self.basis.T @ columns.reshape(_POSE * self.views, -1)
-        covariance = np.linalg.inv(slope.T @ self.precision @ slope)
-        poses = covariance @ (slope.T @ self.precision @ left)
-        left = left - slope @ poses
-        return float(left @ self.precision @ left), poses, np.asarray(covariance)
+        if len(rest) < 2:
+            rest = self.others([])
+        cost, freedom = self.disagreement(np.setdiff1d(np.arange(len(self.given)), rest).tolist())
+        gauge = gauge_of(self.adjusted)
+        solved = np.linalg.pinv(gauge[rest].reshape(-1, _GAUGE)).reshape(_GAUGE, len(rest), _POSE)
+        own = np.eye(len(self.given))[view]  # the view, less the similarity that aligns the rest
+        slope = np.einsum("v,ij->ivj", own, np.eye(_POSE))
+        slope[:, rest] -= np.einsum("ig,gvj->ivj", gauge[view], solved)
+        variance = np.einsum("ivj,vjwk,iwk->i", slope, self.covariance, slope)
+        variance *= max(1.0, cost / freedom) if freedom > 0 else 1.0
+        change = self._difference(rest)[view]
+        sigma = np.sqrt([variance[:3].sum(), variance[3:].sum()])
+        turn, shift = (float(np.linalg.norm(part)) for part in (change[:3], change[3:]))
+        return turn, shift, float(sigma[0]), float(sigma[1])
 
 
-def _explaining(problem: _Problem) -> list[int]:
-    """Return the views that explain most of the difference, one after the other.
+def _find_moved(rigs: _Rigs, config: Config) -> list[int]:
+    """Return the views that were certainly moved, and by enough to matter.
 
-    At least half of the cameras, and two, are left: a rig most of which has moved is another rig.
+    Those that explain most of the difference are set free, one after the other, until half of the
+    cameras, and two, are left: a rig most of which has moved is another rig. Then the least certain
+    one is put back until all are certain.
     """
-    free: list[int] = []
-    most = min((problem.views - 1) // 2, problem.views - 2)
-    while len(free) < most:
-        rest = problem.others(free)
-        costs = [problem.cost([*free, view]) for view in rest.tolist()]
-        free.append(int(rest[np.argmin(costs)]))
-    return free
-
-
-def _significant(problem: _Problem, free: list[int], config: Config) -> list[int]:
-    """Return which of the free views are certainly moved, and by enough to matter.
-
-    The least certain one is put back until all are certain.
-    """
-    free = list(free)
+    views, free = len(rigs.given), list[int]()
+    while len(free) < min((views - 1) // 2, views - 2):
+        rest = rigs.others(free).tolist()
+        costs = [rigs.disagreement([*free, view])[0] for view in rest]
+        free.append(rest[int(np.argmin(costs))])
     while free:
-        chance = [_chance(problem, view, free) for view in free]
-        small = [_is_small(problem, view, free, config) for view in free]
-        worst = max(range(len(free)), key=lambda k: (small[k], chance[k]))
-        if not small[worst] and chance[worst] * problem.views < config.verify.significance:
+        order = [(_is_small(rigs, each, free, config), _chance(rigs, each, free)) for each in free]
+        worst = max(range(len(free)), key=order.__getitem__)
+        small, chance = order[worst]
+        if not small and chance * views < config.verify.significance:
             break
         del free[worst]
     return free
 
 
-def _chance(problem: _Problem, view: int, free: list[int]) -> float:
-    """Return how likely a view that stands where it did would explain so much."""
-    freedom = problem.freedom(free)
-    cost = problem.cost(free)
-    explained = problem.cost([other for other in free if other != view]) - cost
+def _chance(rigs: _Rigs, view: int, free: list[int]) -> float:
+    """Return how likely a view that was not moved would explain as much."""
+    cost, freedom = rigs.disagreement(free)
+    explained = rigs.disagreement([each for each in free if each != view])[0] - cost
     return float(fdtrc(_POSE, freedom, max(explained, 0.0) / _POSE / max(1.0, cost / freedom)))
 
 
-def _is_small(problem: _Problem, view: int, free: list[int], config: Config) -> bool:
-    """Return whether a camera stands so near to where it did that nobody minds."""
-    turn, shift, _, _ = problem.free_pose(view, free)
+def _is_small(rigs: _Rigs, view: int, free: list[int], config: Config) -> bool:
+    """Return whether a camera moved by less than is reported."""
+    turn, shift, _, _ = rigs.change_of(view, set(free))
     return np.rad2deg(turn) < config.verify.least_turn_deg and shift < config.verify.least_shift
-
-
-def _angles(given: CameraRig, other: CameraRig) -> Floats:
-    """Return the angles `[view]` in radians between the rotations of two rigs."""
-    return np.asarray(angle_between(given.rotation, other.rotation))
