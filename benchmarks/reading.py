@@ -23,10 +23,8 @@ READ = """
 import json, resource, sys, time
 which, path, reads = sys.argv[1], sys.argv[2], int(sys.argv[3])
 if which == "mocap-calib":
-    from mocap_calib.kernels.loading import compiled
     from mocap_calib.io.keypoints import formats
     from mocap_calib.io.keypoints.read import read_keypoints
-    compiled("mocap_calib.kernels.tables")
     read = lambda: read_keypoints(path)
 else:
     import pandas

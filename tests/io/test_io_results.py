@@ -519,13 +519,8 @@ def test_what_a_format_cannot_hold_of_the_cameras_is_said_before_a_run(format, c
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize("by_kernel", [True, False])
-def test_lines_of_csv_have_the_digits_of_repr(by_kernel, monkeypatch):
-    """Floats of any bits, whole numbers of any size, and texts beside them; compiled or not."""
-    if by_kernel:
-        pytest.importorskip("numba")
-    else:
-        monkeypatch.setattr(csv_text, "compiled", lambda _: None)
+def test_lines_of_csv_have_the_digits_of_repr():
+    """Floats of any bits, whole numbers of any size, and texts beside them."""
     rng = np.random.default_rng(0)
     bits = rng.integers(-(2**63), 2**63, (2000, 3)).view(np.float64)
     usual = np.exp(rng.normal(0, 8, (20_000, 3))) * rng.choice([-1, 1], (20_000, 1))

@@ -15,13 +15,9 @@ import numpy as np
 from mocap_calib.io.file import malformed
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, Table, keypoints_from_table
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.io.keypoints.plain_rows import read_plain_rows
 from mocap_calib.types import Floats, Keypoints2D
 
 _FIRST_CELL = re.compile(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]')
-
-# bytes from which on reading cell by cell takes longer than loading the compiled reader
-_LARGE = 5_000_000
 
 Header = dict[str, list[str]]  # name of the level -> cells of its row
 
@@ -57,12 +53,11 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 
 
 def _read_plain_table(document: Document) -> Table | None:
-    """Return the table of a file with nothing odd about it, None for any other.
+    """Return the table of a file of plain rows, a quarter of the time of `_read_any_table`.
 
-    Raises FormatError where the header is wrong.
+    None where a row has quotes, an empty text, another number of cells or something that is no
+    number. Raises FormatError where the header is wrong.
     """
-    if document.size < _LARGE:
-        return None
     header: Header = {}
     for line in document.lines():
         cells = line.rstrip("\r\n").split(",")
@@ -72,20 +67,50 @@ def _read_plain_table(document: Document) -> Table | None:
     if "coords" not in header:
         return None
     columns = _columns(header, document)
-    is_number = [column >= columns.first for column in range(columns.end)]
-    found = read_plain_rows(document.blocks(len(header)), document.size, is_number)
-    if found is None:
-        return None
+    values = np.empty((_count_rows(document, len(header)), columns.end - columns.first))
+    texts: list[list[str]] = []
+    for block in document.blocks(len(header)):
+        try:
+            own, numbers = _parse_block(block.decode(), columns)
+        except ValueError:  # the careful reader says what it is
+            return None
+        values[len(texts) : len(texts) + len(own)] = numbers
+        texts += own
     return Table(
         levels=columns.levels,
         columns=columns.labels,
-        rows=["/".join(cells) for cells in found.texts],
-        values=found.values,
+        rows=["/".join(cells) for cells in texts],
+        values=values,
         lines=[
-            f"row {number} ({cells[-1]})"
-            for number, cells in enumerate(found.texts, len(header) + 1)
+            f"row {number} ({cells[-1]})" for number, cells in enumerate(texts, len(header) + 1)
         ],
     )
+
+
+def _count_rows(document: Document, first_line: int) -> int:
+    """Return the number of rows from a line on."""
+    blocks = document.blocks(first_line)
+    return sum(block.count(b"\n") + (not block.endswith(b"\n")) for block in blocks)
+
+
+def _parse_block(text: str, columns: _Columns) -> tuple[list[list[str]], Floats]:
+    """Return the texts and the numbers `[row, column]` of lines, NaN where a cell is empty.
+
+    Raises ValueError where a row is not plain.
+    """
+    lines = text.replace("\r\n", "\n").removesuffix("\n").split("\n")
+    cells = [line.split(",", columns.first) for line in lines]
+    texts = [row[: columns.first] for row in cells]
+    if '"' in text or not all(map(all, texts)) or len(min(cells, key=len)) <= columns.first:
+        raise ValueError("quotes, an empty text or a row without numbers")
+    numbers = "".join(f",{row[-1]},\n" for row in cells)
+    for _ in range(2):  # each finds every second of neighbours
+        numbers = numbers.replace(",,", ",nan,")
+    rows = [row[1:-1] for row in numbers.removesuffix("\n").split("\n")]
+    values = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
+    if values.shape != (len(texts), columns.end - columns.first):
+        raise ValueError("another number of cells, or an empty line")
+    return texts, values
 
 
 def _read_any_table(document: Document) -> Table:

@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.kernels.loading import compiled
 from mocap_calib.types import Bools, Floats, Ints
 
 _PIECE = 1 << 17  # numbers: some are under way on each thread, of 25 characters each
@@ -35,23 +34,9 @@ def format_lines(first: str, cells: Floats, last: str, numbers: Ints) -> bytes:
     cells: `[row, column]`, "" for NaN. numbers: `[row, column]`. Commas are between those of a row
     alone. Floats are exact, as `repr` writes them.
     """
-    kernels = compiled("mocap_calib.kernels.csv")
-    if kernels is None:
-        return _format_lines(first, cells, last, numbers).encode()
-    cells = np.ascontiguousarray(cells, np.float64)
-    numbers = np.ascontiguousarray(numbers, np.int64)
-    before, after = (np.frombuffer(text.encode(), np.uint8) for text in (first, last))
-    width = len(before) + len(after) + kernels.NUMBER * (cells.shape[1] + numbers.shape[1])
-    text = np.empty(len(cells) * (width + 1), np.uint8)
-    given = before, cells.view(np.int64), kernels.POWERS, after, numbers
-    return text[: kernels.write_rows(*given, text)].tobytes()
-
-
-def _format_lines(first: str, cells: Floats, last: str, numbers: Ints) -> str:
-    """Return what `format_lines` returns, as text, without its kernel."""
     whole = (",".join(map(str, row)) for row in numbers.tolist())
     rows = zip(_format_rows(cells), whole, strict=True)
-    return "".join(f"{first}{row}{last}{own}\n" for row, own in rows)
+    return "".join(f"{first}{row}{last}{own}\n" for row, own in rows).encode()
 
 
 def _format_rows(table: Floats) -> list[str]:
