@@ -129,9 +129,8 @@ def copy_tree(target: Path) -> Path:
             shutil.copy2(ROOT / name, target / name)
     for name in ("mocap_calib", "cli"):  # mutations write no compiled files
         compileall.compile_dir(target / name, quiet=2)
-    for ending in ("nb[ci]", "machine", "fits"):  # kernels, as they were compiled
-        for kernel in (ROOT / "mocap_calib").rglob(f"__pycache__/*.{ending}"):
-            shutil.copy2(kernel, target / kernel.relative_to(ROOT))
+    for kernel in (ROOT / "mocap_calib").rglob("__pycache__/*.nb[ci]"):
+        shutil.copy2(kernel, target / kernel.relative_to(ROOT))
     return target
 
 

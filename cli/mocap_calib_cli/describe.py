@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 from mocap_calib.job.outcome import WrittenGroup
-from mocap_calib.kernels.loading import kernels_at_hand
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult
@@ -23,13 +22,6 @@ def describe_recording(summary: RecordingSummary) -> list[str]:
         *_describe_joints(summary),
         *describe_ignored_files(summary.ignored_files),
     ]
-
-
-def describe_kernels() -> list[str]:
-    """Say where the run is slower than it need be."""
-    if kernels_at_hand():
-        return []
-    return ["numba cannot be imported: the hot loops run in numpy, which takes longer"]
 
 
 def describe_ignored_files(files: Sequence[str]) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.geometry import brown_conrady, kannala_brandt
-from mocap_calib.kernels.loading import compiled
+from mocap_calib.kernels import lens as kernels
 from mocap_calib.types import Camera, Floats
 
 # Of one call, or of one view where it has more: each call waits for Python's lock.
@@ -84,26 +84,23 @@ def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
 
 def _set_rays_of_some(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
     """Do what `_set_rays` does, on one thread."""
-    kernels = compiled("mocap_calib.kernels.lens")
     doubtful = np.ones((len(cameras), pixels.shape[-1]), dtype=bool)
-    if kernels:
-        intrinsics, lenses = parameters(cameras)
-        misses = (LENS_MISS_PX / intrinsics[:, :2].max(-1)).tolist()
-        limits = [
-            brown_conrady.limits_of_newton(k, miss=miss)
-            for k, miss in zip(lenses, misses, strict=True)
-        ]
-        strides = [axis // 8 for array in (pixels, rays) for axis in array.strides[:0:-1]]
-        kernels.unproject(
-            _flat(pixels),
-            intrinsics,
-            np.array(lenses),
-            np.array([_newton_steps(camera) for camera in cameras]),
-            np.array(limits),
-            np.array(strides),
-            _flat(rays),
-            doubtful,
-        )
+    intrinsics, lenses = parameters(cameras)
+    misses = (LENS_MISS_PX / intrinsics[:, :2].max(-1)).tolist()
+    limits = [
+        brown_conrady.limits_of_newton(k, miss=miss) for k, miss in zip(lenses, misses, strict=True)
+    ]
+    strides = [axis // 8 for array in (pixels, rays) for axis in array.strides[:0:-1]]
+    kernels.unproject(
+        _flat(pixels),
+        intrinsics,
+        np.array(lenses),
+        np.array([_newton_steps(camera) for camera in cameras]),
+        np.array(limits),
+        np.array(strides),
+        _flat(rays),
+        doubtful,
+    )
     for view in np.flatnonzero(doubtful.any(1)).tolist():
         lost = slice(None) if doubtful[view].all() else doubtful[view]
         rays[view][:, lost] = _unproject(cameras[view], pixels[view][:, lost])

@@ -4,7 +4,8 @@ import numpy as np
 
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rays import points_in_cameras
-from mocap_calib.kernels.loading import compiled, contiguous
+from mocap_calib.kernels import lens as kernels
+from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Bools, CameraRig, Floats
 
 
@@ -19,8 +20,7 @@ def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: 
     points: `[3, N]` in world coordinates; pixels: `[view, 2, N]` the detections; used: `[view, N]`.
     NaN where no view is used. A view that has a point behind it adds no distance.
     """
-    kernels = compiled("mocap_calib.kernels.lens")
-    if kernels is None or any(camera.fisheye for camera in rig.cameras):
+    if any(camera.fisheye for camera in rig.cameras):
         return _reprojection_error(rig, points, pixels=pixels, used=used)
     error = np.empty(points.shape[1])
     pose = np.concatenate([rig.rotation, rig.translation[:, :, None]], axis=2)

@@ -11,7 +11,8 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import connected_parts
-from mocap_calib.kernels.loading import compiled, contiguous
+from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.tracklets import squared_gaps
 from mocap_calib.types import Bools, Floats, Ints, Reals, Recording
 
 _FRAMES = 512  # linked at a time
@@ -76,38 +77,7 @@ def _squared_gaps(positions: Floats, config: MatchingConfig) -> Floats:
     than `config.tracklet_step` allows for the mean squared distance of the earlier's joints from
     their middle.
     """
-    kernels = compiled("mocap_calib.kernels.tracklets")
-    if kernels is None:
-        return _gaps_of_all(positions, config)
     frames, instances = positions.shape[:2]
     gaps = np.empty((frames - 1, instances, instances))
-    kernels.squared_gaps(*contiguous(positions), config.tracklet_joints, config.tracklet_step, gaps)
+    squared_gaps(*contiguous(positions), config.tracklet_joints, config.tracklet_step, gaps)
     return gaps
-
-
-def _gaps_of_all(positions: Floats, config: MatchingConfig) -> Floats:
-    """Return what `_squared_gaps` returns."""
-    seen = np.isfinite(positions[..., 0]).astype(np.float64)
-    known = np.nan_to_num(positions)
-    a, b, seen_a, seen_b = known[:-1], known[1:], seen[:-1], seen[1:]
-
-    # |a - b|^2 = |a|^2 + |b|^2 - 2 a.b, each term summed over the common joints
-    common = np.einsum("fik,fjk->fij", seen_a, seen_b)
-    square_a = np.einsum("fik,fjk->fij", (a**2).sum(-1), seen_b)
-    square_b = np.einsum("fik,fjk->fij", seen_a, (b**2).sum(-1))
-    product = np.einsum("fikx,fjkx->fij", a, b, optimize=True)
-    gap2 = np.maximum(square_a + square_b - 2 * product, 0.0) / np.maximum(common, 1)
-    allowed = config.tracklet_step**2 * _squared_extent(a, seen_a)[..., None]
-    near = (common >= max(config.tracklet_joints, 1)) & (gap2 < allowed)
-    return np.where(near, gap2, np.inf)
-
-
-def _squared_extent(positions: Floats, seen: Floats) -> Floats:
-    """Return `[frame, I]` mean squared distance of joints from their centroid.
-
-    positions: `[frame, I, keypoint, 2]`, 0 = missing; seen: `[frame, I, keypoint]` 0 or 1.
-    """
-    joints = np.maximum(seen.sum(-1), 1)
-    centroid = positions.sum(-2) / joints[..., None]
-    mean_square = (positions**2).sum((-1, -2)) / joints
-    return mean_square - (centroid**2).sum(-1)

@@ -8,10 +8,9 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, INT, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Bools, Floats
 
-_TABLES = changed_floats(5)
 FRAMES = 20  # side by side; loops of a fixed length below 16 do not become vector instructions
 
 
@@ -126,7 +125,10 @@ def _set_frame(fits: Floats, f: int, affinity: Floats, comparable: Floats) -> No
                         comparable[a, i, b, j] = comparable[b, j, a, i] = 1.0
 
 
-@kernel(floats(5), floats(4), floats(3), floats(4), FLOAT, INT, _TABLES, _TABLES)
+@kernel(
+    "f8[:,:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], f8, i8, f8[:,:,:,:,::1], "
+    "f8[:,:,:,:,::1]"
+)
 def fit_all_views(
     rays: Floats,
     weight: Floats,

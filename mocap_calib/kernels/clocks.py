@@ -6,20 +6,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_calib.kernels.jit import (
-    FLOAT,
-    INT,
-    changed_floats,
-    changed_ints,
-    floats,
-    ints,
-    kernel,
-    singles,
-)
+from mocap_calib.kernels.jit import kernel
 from mocap_calib.types import Floats, Ints
 
 
-@kernel(floats(2), FLOAT, INT, changed_ints(1))
+@kernel("f8[:,::1], f8, i8, i8[::1]")
 def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
     """Set the path `[frame]` through a table `[frame, offset]`: see `clock_paths._follow`.
 
@@ -45,7 +36,7 @@ def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
         path[frame - 1] = origin[frame, path[frame]]
 
 
-@kernel(singles(3), ints(2), ints(1), changed_floats(3))
+@kernel("f4[:,:,::1], i8[:,::1], i8[::1], f8[:,:,::1]")
 def add_windows(values: NDArray[np.float32], row: Ints, first: Ints, table: Floats) -> None:
     """Add windows of rows of agreement to a table: see `clock_paths._add_windows`."""
     stretches, frames, offsets = table.shape

@@ -6,7 +6,7 @@ linkage, so that the next closest two are found without looking at all of it aga
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, changed_ints, floats, inlined, ints, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats, Ints
 
 _BITS = 62  # views of a word
@@ -109,7 +109,7 @@ def _number(cluster: Ints, number: Ints) -> None:
             cluster[i] = number[cluster[i]]
 
 
-@kernel(floats(3), floats(3), ints(1), FLOAT, changed_ints(2))
+@kernel("f8[:,:,::1], f8[:,:,::1], i8[::1], f8, i8[:,::1]")
 def cluster_frames(
     affinity: Floats, comparable: Floats, view: Ints, least: float, cluster: Ints
 ) -> None:

@@ -5,7 +5,7 @@ All steps of `LANES` points are done before those of the next ones, of all views
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, changed_bools, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Bools, Floats, Ints
 
 LANES = 64  # points at once
@@ -175,7 +175,7 @@ def _find_doubtful(
         doubt[n] = doubt[n] and count[n] > 2
 
 
-@kernel(floats(2), floats(3), floats(2), floats(1), FLOAT, changed_floats(2), changed_bools(1))
+@kernel("f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8, f8[:,::1], b1[::1]")
 def intersect_rays(
     centres: Floats,
     world: Floats,

@@ -9,15 +9,7 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.jit import (
-    bools,
-    changed_bools,
-    changed_floats,
-    floats,
-    inlined,
-    ints,
-    kernel,
-)
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Bools, Floats, Ints
 
 LANES = 64
@@ -113,16 +105,7 @@ def _find_points(k: Floats, steps: int, limits: Floats, work: Floats) -> None:
         _miss(k, x, y, to_x, to_y, step)
 
 
-@kernel(
-    floats(1),
-    floats(2),
-    floats(2),
-    ints(1),
-    floats(2),
-    ints(1),
-    changed_floats(1),
-    changed_bools(2),
-)
+@kernel("f8[::1], f8[:,::1], f8[:,::1], i8[::1], f8[:,::1], i8[::1], f8[::1], b1[:,::1]")
 def unproject(
     pixels: Floats,
     intrinsics: Floats,
@@ -202,7 +185,7 @@ def _add_misses(
         total[1, n] += used[n]
 
 
-@kernel(floats(3), floats(2), floats(2), floats(2), floats(3), bools(2), changed_floats(1))
+@kernel("f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], b1[:,::1], f8[::1]")
 def reprojection_errors(
     pose: Floats,
     intrinsics: Floats,

@@ -1,8 +1,8 @@
-"""What a network computes beside matrix products, compiled: `lifter` says the same in numpy."""
+"""What a network computes beside matrix products."""
 
 import numpy as np
 
-from mocap_calib.kernels.jit import changed_singles, inlined, kernel, singles
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats32
 
 _ONE, _HALF, _ROOT_HALF = np.float32(1), np.float32(0.5), np.float32(0.5**0.5)
@@ -30,7 +30,7 @@ def _activate_row(values: Floats32, bias: Floats32) -> None:
         values[k] = _HALF * (x + size - size * (_ONE - y * p / q))
 
 
-@kernel(changed_singles(2), singles(1))
+@kernel("f4[:,::1], f4[::1]")
 def activate(values: Floats32, bias: Floats32) -> None:
     """Set values `[N, K]` to x Phi(x), x = value + bias `[K]`."""
     for n in range(len(values)):

@@ -5,16 +5,7 @@
 
 import numpy as np
 
-from mocap_calib.kernels.jit import (
-    FLOAT,
-    INT,
-    changed_floats,
-    changed_ints,
-    floats,
-    inlined,
-    ints,
-    kernel,
-)
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats, Ints
 
 
@@ -56,19 +47,7 @@ def _nearest(
     return -1
 
 
-@kernel(
-    floats(3),
-    ints(1),
-    INT,
-    INT,
-    INT,
-    FLOAT,
-    INT,
-    changed_floats(2),
-    changed_ints(1),
-    changed_ints(2),
-    changed_ints(1),
-)
+@kernel("f8[:,:,::1], i8[::1], i8, i8, i8, f8, i8, f8[:,::1], i8[::1], i8[:,::1], i8[::1]")
 def link_frames(
     places: Floats,
     frames: Ints,

@@ -5,7 +5,7 @@ All steps of a point are done before the next one, on the rays of the views that
 
 import numpy as np
 
-from mocap_calib.kernels.jit import INT, changed_floats, floats, inlined, ints, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats, Ints
 
 _RIDGE = 1e-10  # as of `symmetric`
@@ -178,16 +178,8 @@ def _gather(
 
 
 @kernel(
-    floats(2),
-    floats(3),
-    floats(2),
-    ints(1),
-    ints(2),
-    INT,
-    floats(1),
-    floats(1),
-    floats(1),
-    changed_floats(2),
+    "f8[:,::1], f8[:,:,::1], f8[:,::1], i8[::1], i8[:,::1], i8, f8[::1], f8[::1], f8[::1], "
+    "f8[:,::1]"
 )
 def refine_among_outliers(
     centres: Floats,

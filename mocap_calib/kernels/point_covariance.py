@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
 LANES = 64
@@ -91,7 +91,7 @@ def _sandwich(outer: Floats, inner: Floats, found: Floats) -> None:
         found[5, n] = xz * first + yz * second + zz * third
 
 
-@kernel(floats(2), floats(2), floats(3), floats(2), floats(1), FLOAT, changed_floats(2))
+@kernel("f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8, f8[:,::1]")
 def covariances(
     centres: Floats,
     points: Floats,

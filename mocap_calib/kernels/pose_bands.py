@@ -7,7 +7,7 @@ couples t with t-2, and F[t] = b[t] - c[t] P[t-2] F[t-1]' with t-1.
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
 LANES = 20
@@ -129,7 +129,7 @@ def _factor_frame(factor: Floats) -> None:
         factor[m + 4 * LANES], factor[m + 5 * LANES] = z * third, third
 
 
-@kernel(floats(3), floats(2), floats(2), FLOAT, changed_floats(3), changed_floats(3))
+@kernel("f8[:,:,::1], f8[:,::1], f8[:,::1], f8, f8[:,:,::1], f8[:,:,::1]")
 def factor_bands(
     points: Floats,
     steps: Floats,

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, changed_floats, floats, inlined, ints, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats, Ints
 
 # a person's 17 keypoints in one group; loops of a fixed length below 16 do not become vector
@@ -17,7 +17,6 @@ from mocap_calib.types import Floats, Ints
 LANES = 20
 _OWN = 9 * LANES  # blocks of the diagonal, and the gradient
 _BLOCK = 6 * LANES
-_TABLE, _ROWS, _SET = floats(2), floats(3), changed_floats(3)
 _ROUNDING = 1e-12  # of what a point is held by
 
 
@@ -141,7 +140,10 @@ def _turn(own: Floats, numbers: int, turned: Floats) -> None:
                 turned[f, g, k * LANES + n] = row[k * LANES + f]
 
 
-@kernel(floats(4), _TABLE, _ROWS, ints(2), _ROWS, FLOAT, FLOAT, _SET, _SET, _SET)
+@kernel(
+    "f8[:,:,:,::1], f8[:,::1], f8[:,:,::1], i8[:,::1], f8[:,:,::1], f8, f8, f8[:,:,::1], "
+    "f8[:,:,::1], f8[:,:,::1]"
+)
 def sum_terms(
     rays: Floats,
     centres: Floats,
@@ -220,7 +222,9 @@ def _tell(along: Floats, variance: Floats, own: Floats) -> None:
         own[5 * LANES + n] += weight * z * z
 
 
-@kernel(floats(4), _TABLE, _ROWS, ints(2), _ROWS, _TABLE, FLOAT, FLOAT, _SET)
+@kernel(
+    "f8[:,:,:,::1], f8[:,::1], f8[:,:,::1], i8[:,::1], f8[:,:,::1], f8[:,::1], f8, f8, f8[:,:,::1]"
+)
 def sum_known(
     rays: Floats,
     centres: Floats,

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, INT, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
 LANES = 20  # joints of a group, and frames that are looked at side by side
@@ -51,7 +51,7 @@ def _add_weighed(own: Floats, middle: Floats, added: Floats, sums: Floats) -> No
         sums[_POINT + n] += weight
 
 
-@kernel(floats(3), floats(2), INT, INT, FLOAT, FLOAT, changed_floats(2))
+@kernel("f8[:,:,::1], f8[:,::1], i8, i8, f8, f8, f8[:,::1]")
 def share_accelerations(
     points: Floats,
     steps: Floats,

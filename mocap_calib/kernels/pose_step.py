@@ -5,7 +5,7 @@ Rows are as in `energy_kernels`.
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, INT, changed_floats, floats, inlined, ints, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats, Ints
 
 LANES = 20
@@ -180,16 +180,7 @@ def _turn_direction(
 
 
 @kernel(
-    floats(3),
-    floats(3),
-    ints(2),
-    INT,
-    INT,
-    FLOAT,
-    FLOAT,
-    changed_floats(4),
-    changed_floats(3),
-    changed_floats(3),
+    "f8[:,:,::1], f8[:,:,::1], i8[:,::1], i8, i8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1]"
 )
 def take_step(
     along: Floats,
@@ -261,7 +252,7 @@ def _eliminate(factor: Floats, sides: Floats, found: Floats) -> None:
         found[n + 2 * LANES] = -(xz * x + yz * y + zz * z)
 
 
-@kernel(floats(3), changed_floats(3))
+@kernel("f8[:,:,::1], f8[:,:,::1]")
 def invert_bands(factor: Floats, found: Floats) -> None:
     """Set the blocks of the diagonal of the inverse `[group, frame, 6 * LANES]` (Takahashi 1973).
 

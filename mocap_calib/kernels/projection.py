@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, INT, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
 _MISSING, _AHEAD, _BEHIND = 0.0, 1.0, 2.0
@@ -45,7 +45,7 @@ def _mean_cost(image: Floats, seen: Floats, square_tolerance: float, least: int)
     return total / count if count >= least else 1.0
 
 
-@kernel(floats(4), floats(4), floats(2), FLOAT, INT, changed_floats(3))
+@kernel("f8[:,:,:,::1], f8[:,:,:,::1], f8[:,::1], f8, i8, f8[:,:,::1]")
 def cost_detections(
     points: Floats,
     image: Floats,

@@ -7,14 +7,14 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, changed_bools, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Bools, Floats, Ints
 
 LANES = 64  # points at once, of all views in turn
 _RIDGE = 1e-10  # as of `symmetric`
 
 
-@kernel(floats(3), floats(3), changed_floats(3))
+@kernel("f8[:,:,::1], f8[:,:,::1], f8[:,:,::1]")
 def rays_in_world(rotation: Floats, rays: Floats, world: Floats) -> None:
     """Set rays `[view, 3, N]` in the world's axes, zero where they are missing (NaN).
 
@@ -30,7 +30,7 @@ def rays_in_world(rotation: Floats, rays: Floats, world: Floats) -> None:
                 found[k, n] = value if known else 0.0
 
 
-@kernel(floats(3), floats(2), floats(2), floats(3), changed_floats(2), changed_floats(2))
+@kernel("f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1]")
 def ray_angles(
     rotation: Floats,
     translation: Floats,
@@ -104,7 +104,7 @@ def _widen(ray: Floats, meets: Floats, sums: Floats, cosine: Floats) -> None:
         cosine[n] = min(cosine[n], own if meets[n] > 0 else 1.0)
 
 
-@kernel(floats(2), floats(2), floats(3), floats(2), floats(2), FLOAT, changed_bools(2))
+@kernel("f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8, b1[:,::1]")
 def agreeing_views(
     centres: Floats,
     points: Floats,
@@ -198,7 +198,7 @@ def _set_covariance(direction: Floats, share: Floats, covariance: Floats) -> Non
         covariance[k] = covariance[k] / determinant / size
 
 
-@kernel(floats(2), floats(2), floats(2), FLOAT, FLOAT, changed_floats(2))
+@kernel("f8[:,::1], f8[:,::1], f8[:,::1], f8, f8, f8[:,::1]")
 def median_angles(
     centres: Floats,
     points: Floats,

@@ -5,15 +5,7 @@
 
 import numpy as np
 
-from mocap_calib.kernels.jit import (
-    INT,
-    changed_floats,
-    changed_ints,
-    floats,
-    inlined,
-    ints,
-    kernel,
-)
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats, Ints
 
 
@@ -49,17 +41,8 @@ def _cost(
 
 
 @kernel(
-    floats(3),
-    floats(2),
-    ints(1),
-    floats(3),
-    floats(2),
-    floats(4),
-    floats(3),
-    floats(1),
-    INT,
-    changed_floats(2),
-    changed_ints(2),
+    "f8[:,:,::1], f8[:,::1], i8[::1], f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], "
+    "f8[::1], i8, f8[:,::1], i8[:,::1]"
 )
 def compare(
     rotation: Floats,

@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from mocap_calib.kernels.jit import changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
 _TILE = 128  # points at a time: what is computed of them stays in the cache
@@ -57,15 +57,8 @@ def _derivatives(
 
 
 @kernel(
-    floats(3),
-    floats(3),
-    floats(4),
-    floats(4),
-    floats(3),
-    changed_floats(3),
-    changed_floats(2),
-    changed_floats(4),
-    changed_floats(4),
+    "f8[:,:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], "
+    "f8[:,::1], f8[:,:,:,::1], f8[:,:,:,::1]"
 )
 def normal_equations(
     rotation: Floats,
@@ -122,7 +115,7 @@ def _set_roots(point: Floats, root: Floats) -> None:
         root[2, 2, n] = s
 
 
-@kernel(floats(3), floats(3), changed_floats(3), changed_floats(3))
+@kernel("f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1]")
 def rooted(point: Floats, mixed: Floats, root: Floats, product: Floats) -> None:
     """Set a root Q of V^-1 `[3, 3, n]`, and W Q `[C view, 3, n]`."""
     root[:] = 0.0
@@ -157,14 +150,8 @@ def _copy(row: Floats, into: Floats) -> None:
 
 
 @kernel(
-    floats(3),
-    floats(3),
-    floats(4),
-    floats(4),
-    floats(3),
-    changed_floats(4),
-    changed_floats(3),
-    changed_floats(2),
+    "f8[:,:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], "
+    "f8[:,:,::1], f8[:,::1]"
 )
 def reduced(
     rotation: Floats,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.kernels.jit import INT, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
 _FISHEYE = 2.0
@@ -42,15 +42,8 @@ def _lens(lens: Floats, v: int, x: float, y: float) -> _Six:
     """Return where a lens puts a point, the slopes xx, xy, yy of that, and x by k1 over x."""
     if lens[v, 0] == _FISHEYE:
         return _kannala_brandt(lens, v, x, y)
-    k1, k2, p1, p2, k3, k4 = (
-        lens[v, 6],
-        lens[v, 7],
-        lens[v, 8],
-        lens[v, 9],
-        lens[v, 10],
-        lens[v, 11],
-    )
-    k5, k6 = lens[v, 12], lens[v, 13]
+    k1, k2, p1, p2 = lens[v, 6], lens[v, 7], lens[v, 8], lens[v, 9]
+    k3, k4, k5, k6 = lens[v, 10], lens[v, 11], lens[v, 12], lens[v, 13]
     square = x * x + y * y
     above = 1 + square * (k1 + square * (k2 + square * k3))
     below = 1 / (1 + square * (k4 + square * (k5 + square * k6)))
@@ -262,11 +255,10 @@ def _weigh(given: Any, points: Floats, into: Any) -> float:
     return cost
 
 
-_POSES, _WEIGHTS = (INT, floats(3), floats(3)), (floats(2), floats(1), INT)
-_SET = (changed_floats(2), *map(changed_floats, (3, 4, 4, 3)))
-
-
-@kernel(*_POSES, floats(3), floats(4), *_WEIGHTS, *_SET)
+@kernel(
+    "i8, f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,::1], f8[::1], i8, "
+    "f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1]"
+)
 def settle_rays(
     first: int,
     rotation: Floats,
@@ -297,7 +289,10 @@ def settle_rays(
     return _weigh(given, points, (in_camera, slope, own, residual))
 
 
-@kernel(*_POSES, floats(2), floats(3), *_WEIGHTS, *_SET)
+@kernel(
+    "i8, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], i8, f8[:,::1], "
+    "f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1]"
+)
 def settle_pixels(
     first: int,
     rotation: Floats,

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.jit import changed_floats, floats, kernel
+from mocap_calib.kernels.jit import kernel
 from mocap_calib.types import Floats
 
 
-@kernel(floats(3), changed_floats(1))
+@kernel("f8[:,:,::1], f8[::1]")
 def distances_by_size(rays: Floats, distance: Floats) -> None:
     """Set the distances `[N]` of bodies of the rays `[N, keypoint, 3]`, NaN = missing."""
     for n in range(len(rays)):

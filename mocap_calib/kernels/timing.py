@@ -5,15 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_calib.kernels.jit import (
-    INT,
-    changed_ints,
-    changed_singles,
-    inlined,
-    ints,
-    kernel,
-    singles,
-)
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Ints
 
 
@@ -33,7 +25,7 @@ def _add_row(
         known[offset] += here
 
 
-@kernel(singles(4), ints(1), INT, changed_singles(4), changed_ints(4))
+@kernel("f4[:,:,:,::1], i8[::1], i8, f4[:,:,:,::1], i8[:,:,:,::1]")
 def sum_on_diagonals(
     values: NDArray[np.float32],
     first: Ints,

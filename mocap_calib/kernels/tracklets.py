@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, INT, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
 
@@ -40,7 +40,7 @@ def _squared_extent(joints: Floats) -> float:
     return square / count
 
 
-@kernel(floats(4), INT, FLOAT, changed_floats(3))
+@kernel("f8[:,:,:,::1], i8, f8, f8[:,:,::1]")
 def squared_gaps(positions: Floats, least_joints: int, step: float, gaps: Floats) -> None:
     """Set `[frame - 1, I, J]` the squared gaps of detections to those of the next frame.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.config import ENCODER_HEADS
-from mocap_calib.kernels.loading import compiled
+from mocap_calib.kernels.lifter import activate
 from mocap_calib.types import Bools, Floats32
 
 LOG_DEVIATIONS = (-6.0, 3.0)  # the least and the largest that a network states
@@ -22,30 +22,6 @@ _EPSILON = np.float32(1e-5)  # of torch's LayerNorm
 # of a query and a key, whose exponentials are good in 32 bits as they are: no score of the networks
 # that are shipped can be above 67, as their weights tell, and those of recordings are below 20
 _LARGEST_SCORE = np.float32(70)
-# erf(x) = x P(x^2) / Q(x^2) to 2e-7 where |x| <= 4, and 1 beyond: Eigen 3.4, `generic_fast_erf`,
-# as in `lifter_kernels`; the highest power first
-_ERF_P = np.array(
-    [
-        -2.72614225801306e-10,
-        2.77068142495902e-8,
-        -2.10102402082508e-6,
-        -5.69250639462346e-5,
-        -7.34990630326855e-4,
-        -2.95459980854025e-3,
-        -1.60960333262415e-2,
-    ],
-    dtype=np.float32,
-)
-_ERF_Q = np.array(
-    [
-        -1.45660718464996e-5,
-        -2.13374055278905e-4,
-        -1.68282697438203e-3,
-        -7.37332916720468e-3,
-        -1.42647390514189e-2,
-    ],
-    dtype=np.float32,
-)
 
 
 @dataclass(frozen=True)
@@ -233,37 +209,5 @@ def _attend(heads: Floats32) -> Floats32:
 def _activate(linear: _Linear, values: Floats32) -> Floats32:
     """Return the GELU of a linear map of values `[N, input]`."""
     wide: Floats32 = values @ linear.matrix
-    if kernels := compiled("mocap_calib.kernels.lifter"):
-        kernels.activate(wide, linear.bias)
-        return wide
-    wide += linear.bias
-    return _gelu(wide)
-
-
-def _gelu(values: Floats32) -> Floats32:
-    """Return x Phi(x) = (x + |x| - |x| (1 - erf(|x| / sqrt(2)))) / 2 of values `[...]`.
-
-    In their place, as memory is what takes the time; the same numbers as `lifter_kernels.activate`.
-    """
-    size = np.abs(values)
-    tail = size * np.float32(0.5**0.5)
-    np.minimum(tail, np.float32(4), out=tail)
-    square = tail * tail
-    tail *= _polynomial(square, _ERF_P)
-    tail /= _polynomial(square, _ERF_Q)
-    np.subtract(np.float32(1), tail, out=tail)
-    tail *= size
-    values += size
-    values -= tail
-    values *= np.float32(0.5)
-    return values
-
-
-def _polynomial(x: Floats32, factors: Floats32) -> Floats32:
-    """Return the polynomial of x `[...]` with these factors, that of the highest power first."""
-    total: Floats32 = x * factors[0]
-    for factor in factors[1:-1]:
-        total += factor
-        total *= x
-    total += factors[-1]
-    return total
+    activate(wide, linear.bias)
+    return wide

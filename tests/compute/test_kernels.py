@@ -1,51 +1,65 @@
-"""Kernels run where numba is, and their numpy definitions elsewhere."""
+"""Kernels are compiled once on a machine, also where nothing can be kept."""
 
+import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from mocap_calib.kernels import loading as kernels
+from mocap_calib.kernels.loading import contiguous
 
+KERNEL = """
+from mocap_calib.kernels.jit import inlined, kernel
 
-@pytest.fixture(autouse=True)
-def no_memory():
-    """Forget what was found of numba, before and after."""
+@inlined
+def twice(x):
+    return 2 * x
 
-    def forget() -> None:
-        kernels.kernels_at_hand.cache_clear()
-        kernels.compiled.cache_clear()
-
-    forget()
-    yield
-    forget()
-
-
-def test_without_numba_nothing_is_compiled(monkeypatch):
-    assert kernels.kernels_at_hand()
-    kernels.kernels_at_hand.cache_clear()
-    monkeypatch.delitem(sys.modules, "mocap_calib.kernels.jit", raising=False)
-    monkeypatch.setitem(sys.modules, "numba", None)
-    assert not kernels.kernels_at_hand()
-    assert kernels.compiled("mocap_calib.any_kernels") is None
-    assert kernels.compile_ahead() == []
-
-
-def test_kernels_are_compiled_without_the_blas_that_products_of_others_find(tmp_path):
-    """It takes 0.2 s to import."""
-    pytest.importorskip("numba")
-    kernel = "from mocap_calib.kernels.jit import FLOAT, kernel\n\n"
-    kernel += "@kernel(FLOAT)\ndef twice(x):\n    return 2 * x\n"
-    (tmp_path / "new_kernels.py").write_text(kernel, "utf-8")
-    code = f"""
-import sys
-import numpy as np
-sys.path.insert(0, {str(tmp_path)!r})
-import new_kernels
-assert "numba" in sys.modules
-assert not {{"scipy.linalg", "scipy.special", "scipy.optimize"}} & set(sys.modules)
-import numba
-print(numba.njit(lambda a: np.dot(a, a))(2 * np.eye(2))[1, 1])
+@kernel("f8[::1]")
+def double(values):
+    for k in range(len(values)):
+        values[k] = twice(values[k])
 """
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (run.stdout, run.stderr) == ("4.0\n", "")
+RUN = """
+import numpy as np
+import some_kernels
+values = np.arange(3.0)
+some_kernels.double(values)
+print(*values, sum(some_kernels.double.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture(name="folder")
+def folder_of_a_kernel(tmp_path):
+    (tmp_path / "some_kernels.py").write_text(KERNEL, "utf-8")
+    return tmp_path
+
+
+def run(folder, **environment: str) -> str:
+    path = os.pathsep.join([str(folder), *filter(None, sys.path)])
+    environment = os.environ | {"PYTHONPATH": path} | environment
+    return subprocess.check_output([sys.executable, "-c", RUN], text=True, env=environment).strip()
+
+
+def test_machine_code_is_kept_beside_the_module(folder):
+    assert [run(folder), run(folder)] == ["0.0 2.0 4.0 0", "0.0 2.0 4.0 1"]
+    assert list((folder / "__pycache__").glob("*.nbi"))
+
+
+def test_a_kernel_runs_where_no_folder_can_be_written(folder):
+    """As root may write anywhere, there is a file in place of each folder."""
+    (folder / "__pycache__").write_text("")
+    (folder / "home").write_text("")
+    home = str(folder / "home")
+    kept = {"HOME": home, "XDG_CACHE_HOME": home, "PYTHONDONTWRITEBYTECODE": "1"}
+    assert run(folder, **kept) == "0.0 2.0 4.0 0"
+
+
+def test_arrays_for_kernels_are_in_c_order_and_can_be_written():
+    kept = np.zeros((2, 3))
+    frozen = np.broadcast_to(np.ones(3), (2, 3))
+    same, turned, written = contiguous(kept, np.ones((3, 2)).T, frozen)
+    assert same is kept
+    assert turned.flags.c_contiguous
+    assert written.flags.writeable

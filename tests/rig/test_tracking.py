@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles import identities as oracle
 from scenes import PEOPLE, calibrate_group, precision, recording, rotation_errors_deg, scene
 
 from mocap_calib.config import MatchingConfig
 from mocap_calib.identities.tracklets import (
-    _gaps_of_all,
     _squared_gaps,
     tracklets,
 )
@@ -141,7 +141,7 @@ def test_the_kernel_gives_the_gaps_of_its_definition(least_joints):
     positions[rng.random(positions.shape[:3]) < 0.3] = np.nan
     positions[rng.random(positions.shape[:2]) < 0.2] = np.nan
     config = replace(MatchingConfig(), tracklet_joints=least_joints)
-    expected = _gaps_of_all(positions, config)
+    expected = oracle.squared_gaps(positions, least_joints, config.tracklet_step)
     assert 0.1 < np.isfinite(expected).mean() < 0.9
     np.testing.assert_allclose(_squared_gaps(positions, config), expected, rtol=1e-9)
 

@@ -82,7 +82,7 @@ def command(
         open_workers(reporter, scheduler=shared.scheduler) as workers,
     ):
         job = read_job(request)
-        reporter.say(*describe.describe_recording(job.loaded.summary), *describe.describe_kernels())
+        reporter.say(*describe.describe_recording(job.loaded.summary))
         with say_how_to_go_on(reporter, output):
             result = calibrate_job_resumably(job, progress=reporter, mapper=workers)
     written = write_results(job, result)
