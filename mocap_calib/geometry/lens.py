@@ -1,20 +1,21 @@
 """Lenses as in OpenCV, by component: `[2, N]` pixels, `[3, N]` points and rays. NaN stays NaN.
 
-Written out, because whole recordings go through: ten times faster than cv2, and without its
-failures (its fixed-point iteration diverges at strong lenses; its fisheye inverse returns
-tan(theta), which breaks near 90 degrees).
+Compiled, because whole recordings go through: ten times faster than cv2, and without its failures
+(its fixed-point iteration diverges at strong lenses; its fisheye inverse returns tan(theta), which
+breaks near 90 degrees).
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LENS_MISS_PX
-from mocap_calib.geometry import brown_conrady, kannala_brandt
 from mocap_calib.kernels import lens as kernels
+from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Camera, Floats
 
 # Of one call, or of one view where it has more: each call waits for Python's lock.
@@ -24,7 +25,7 @@ _PIXELS = 1 << 18
 class Slopes(NamedTuple):
     """How pixels move with what they are images of.
 
-    image: `[2, 2, N]` by the points of the plane z = 1.
+    image: `[2, 2, N]` by the points of the plane z = 1, which is symmetric but for focal lengths.
     log_focal: `[2, N]` by the logarithm of the focal lengths. k1: `[2, N]` by that coefficient.
     """
 
@@ -33,17 +34,22 @@ class Slopes(NamedTuple):
     k1: Floats
 
 
+def rows(cameras: Sequence[Camera]) -> Floats:
+    """Return the lenses `[view, 14]` as kernels take them, see `kernels.lens`."""
+    found = np.zeros((len(cameras), 14))
+    for row, camera in zip(found, cameras, strict=True):
+        coefficients = camera.distortion[: 4 if camera.fisheye else 8]
+        row[:2] = kernels.FISHEYE if camera.fisheye else 1.0, 1.0
+        row[2:4], row[4:6] = camera.matrix[[0, 1], [0, 1]], camera.matrix[:2, 2]
+        row[6 : 6 + len(coefficients)] = coefficients
+    return found
+
+
 def project(camera: Camera, points: Floats) -> Floats:
     """Return the pixels `[2, N]` of points `[3, N]` in the camera's axes; NaN behind the camera."""
-    focal, middle = _focal_and_middle(camera)
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        depth = np.where(points[2] > 1e-9, points[2], np.nan)
-        image = points[:2] / depth
-        if camera.fisheye:
-            image = kannala_brandt.distort(kannala_brandt.coefficients(camera), image)
-        elif camera.distortion.any():
-            image = brown_conrady.distort(brown_conrady.coefficients(camera), image)
-        return focal[:, None] * image + middle[:, None]
+    pixels = np.empty((2, points.shape[1]))
+    kernels.project(rows((camera,))[0], *contiguous(points), pixels)
+    return pixels
 
 
 def unproject(camera: Camera, pixels: Floats) -> Floats:
@@ -63,8 +69,8 @@ def unproject_views(cameras: Sequence[Camera], pixels: Floats, *, by_component: 
     """
     views, count, _ = pixels.shape
     rays = np.empty((views, 3, count) if by_component else (views, count, 3))
-    rows = np.ascontiguousarray(pixels, np.float64)
-    _set_rays(cameras, rows.swapaxes(1, 2), rays if by_component else rays.swapaxes(1, 2))
+    given = np.ascontiguousarray(pixels, np.float64)
+    _set_rays(cameras, given.swapaxes(1, 2), rays if by_component else rays.swapaxes(1, 2))
     return rays
 
 
@@ -74,44 +80,33 @@ def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
     Either is in C order, or was before its last two axes were swapped.
     """
     each = max(1, _PIXELS // max(1, pixels.shape[-1]))
+    lenses = rows(cameras)
+    limits = np.array([_limits(*row.tolist()) for row in lenses]).reshape(-1, 3)
+    strides = [axis // 8 for array in (pixels, rays) for axis in array.strides[:0:-1]]
 
     def work(first: int) -> None:
         some = slice(first, first + each)
-        _set_rays_of_some(cameras[some], pixels[some], rays[some])
+        given = *contiguous(_flat(pixels[some]), lenses[some], limits[some]), np.array(strides)
+        kernels.unproject(*given, pixels.shape[-1], _flat(rays[some]))
 
     do_in_threads(work, range(0, len(cameras), each))
 
 
-def _set_rays_of_some(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
-    """Do what `_set_rays` does, on one thread."""
-    doubtful = np.ones((len(cameras), pixels.shape[-1]), dtype=bool)
-    intrinsics, lenses = parameters(cameras)
-    misses = (LENS_MISS_PX / intrinsics[:, :2].max(-1)).tolist()
-    limits = [
-        brown_conrady.limits_of_newton(k, miss=miss) for k, miss in zip(lenses, misses, strict=True)
-    ]
-    strides = [axis // 8 for array in (pixels, rays) for axis in array.strides[:0:-1]]
-    kernels.unproject(
-        _flat(pixels),
-        intrinsics,
-        np.array(lenses),
-        np.array([_newton_steps(camera) for camera in cameras]),
-        np.array(limits),
-        np.array(strides),
-        _flat(rays),
-        doubtful,
-    )
-    for view in np.flatnonzero(doubtful.any(1)).tolist():
-        lost = slice(None) if doubtful[view].all() else doubtful[view]
-        rays[view][:, lost] = _unproject(cameras[view], pixels[view][:, lost])
-
-
-def parameters(
-    cameras: Sequence[Camera],
-) -> tuple[Floats, list[brown_conrady.Coefficients]]:
-    """Return focal lengths and principal points `[view, 4]`, and the coefficients of lenses."""
-    intrinsics = np.stack([np.concatenate(_focal_and_middle(camera)) for camera in cameras])
-    return intrinsics, [brown_conrady.coefficients(camera) for camera in cameras]
+@lru_cache
+def _limits(kind: float, _: float, *lens: float) -> tuple[float, float, float]:
+    """Return when a point is that of a pixel: see `kernels.lens.unproject`."""
+    focal, k = lens[:2], lens[4:]
+    miss = LENS_MISS_PX / max(focal)
+    if kind == kernels.FISHEYE:
+        return 0.0, np.inf, miss
+    # the distorted radius grows with the radius up to the first fold
+    radius = np.linspace(0, 10, 4001)
+    square = radius**2
+    above = 1 + square * (k[0] + square * (k[1] + square * k[4]))
+    below = 1 + square * (k[5] + square * (k[6] + square * k[7]))
+    grows = np.diff(radius * above / np.where(below > 0, below, np.nan)) > 0
+    fold = np.inf if grows.all() else float(square[np.argmin(grows)])
+    return 1e-12 + 1e-9 * miss, fold, miss
 
 
 def _flat(array: Floats) -> Floats:
@@ -119,45 +114,11 @@ def _flat(array: Floats) -> Floats:
     return (array if array.flags.c_contiguous else array.swapaxes(1, 2)).reshape(-1)
 
 
-def _newton_steps(camera: Camera) -> int:
-    """Return the steps that the kernel takes, -1 where it does not know the lens."""
-    if camera.fisheye:
-        return -1
-    return brown_conrady.NEWTON_STEPS if camera.distortion.any() else 0
-
-
-def _unproject(camera: Camera, pixels: Floats) -> Floats:
-    """Return what `unproject` returns."""
-    focal, middle = _focal_and_middle(camera)
-    miss = LENS_MISS_PX / focal.max()
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        image = (pixels - middle[:, None]) / focal[:, None]
-        if camera.fisheye:
-            return kannala_brandt.rays(kannala_brandt.coefficients(camera), image, miss=miss)
-        if camera.distortion.any():
-            image = brown_conrady.undistort(brown_conrady.coefficients(camera), image, miss=miss)
-        length = 1 / np.sqrt(1 + image[0] ** 2 + image[1] ** 2)
-        return np.concatenate([image * length, length[None]])
-
-
 def image_slopes(camera: Camera, image: Floats) -> Slopes:
     """Return the derivatives of the pixels of points `[2, N]` of the plane z = 1."""
-    focal, _ = _focal_and_middle(camera)
-    if camera.fisheye:
-        fisheye = kannala_brandt.coefficients(camera)
-        distorted = kannala_brandt.distort(fisheye, image)
-        by_image = kannala_brandt.jacobian(fisheye, image)
-        by_k1 = kannala_brandt.slope_by_k1(image)
-    else:
-        brown = brown_conrady.coefficients(camera)
-        distorted = brown_conrady.distort(brown, image)
-        by_image = brown_conrady.jacobian(brown, image)
-        by_k1 = brown_conrady.slope_by_k1(brown, image)
-    return Slopes(
-        image=focal[:, None, None] * by_image,
-        log_focal=focal[:, None] * distorted,
-        k1=focal[:, None] * by_k1,
-    )
+    found = np.empty((4, 2, image.shape[1]))
+    kernels.set_slopes(rows((camera,))[0], *contiguous(image), found)
+    return Slopes(image=found[:2].swapaxes(0, 1), log_focal=found[2], k1=found[3])
 
 
 def change_intrinsics(camera: Camera, *, log_focal: float, k1: float) -> Camera:
@@ -173,8 +134,3 @@ def change_intrinsics(camera: Camera, *, log_focal: float, k1: float) -> Camera:
         distortion = np.zeros(4 if camera.fisheye else 5)
     distortion[0] += k1
     return replace(camera, matrix=matrix, distortion=distortion)
-
-
-def _focal_and_middle(camera: Camera) -> tuple[Floats, Floats]:
-    """Return the focal lengths `[2]` and the principal point `[2]` in pixels."""
-    return camera.matrix[[0, 1], [0, 1]], camera.matrix[:2, 2]

@@ -4,7 +4,7 @@ import numpy as np
 
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rays import points_in_cameras
-from mocap_calib.kernels import lens as kernels
+from mocap_calib.kernels.lens import reprojection_errors
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Bools, CameraRig, Floats
 
@@ -20,20 +20,7 @@ def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: 
     points: `[3, N]` in world coordinates; pixels: `[view, 2, N]` the detections; used: `[view, N]`.
     NaN where no view is used. A view that has a point behind it adds no distance.
     """
-    if any(camera.fisheye for camera in rig.cameras):
-        return _reprojection_error(rig, points, pixels=pixels, used=used)
     error = np.empty(points.shape[1])
     pose = np.concatenate([rig.rotation, rig.translation[:, :, None]], axis=2)
-    intrinsics, lenses = lens.parameters(rig.cameras)
-    given = contiguous(pose, intrinsics, np.array(lenses), points, pixels, used)
-    kernels.reprojection_errors(*given, error)
+    reprojection_errors(*contiguous(pose, lens.rows(rig.cameras), points, pixels, used), error)
     return error
-
-
-def _reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: Bools) -> Floats:
-    """Return what `reprojection_error` returns."""
-    gap = project(rig, points) - pixels
-    square = gap[:, 0] ** 2 + gap[:, 1] ** 2
-    total = np.where(used & np.isfinite(square), square, 0.0).sum(0)
-    count = used.sum(0)
-    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)

@@ -1,8 +1,8 @@
-"""Rays of pixels, and pixels of points, compiled.
+"""Lenses: rays of pixels, pixels of points, and their derivatives.
 
-`lens`, `brown_conrady` and `reprojection` define what is computed.
-
-`LANES` of them at once, with all of Newton's steps.
+A lens is a row of 14 numbers, see `geometry.lens.rows`: its kind (1 Brown and Conrady's with
+OpenCV's rational terms, 2 Kannala and Brandt's fisheye), the factor of pixels, focal lengths,
+principal point, and up to eight coefficients in OpenCV's order.
 """
 
 import math
@@ -10,209 +10,245 @@ import math
 import numpy as np
 
 from mocap_calib.kernels.jit import inlined, kernel
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.types import Bools, Floats
 
-LANES = 64
-_FLATTEST = 1e-9  # as of `brown_conrady._newton_step`
+LANES = 64  # points side by side: loops of a fixed length over arrays in the cache are vectorised
+FISHEYE = 2.0
+_SETTLED, _FLATTEST = 1e-7, 1e-9  # of a step, after which the next is its square; of a determinant
+_STEPS, _CAREFUL_STEPS, _FISHEYE_STEPS = 5, 60, 20
+_CAREFUL_STEP = 0.1  # longest one
+_LEAST_RADIUS = 1e-5  # of a fisheye: nearer to the axis derivatives are those at this distance
+_Six = tuple[float, float, float, float, float, float]
 
 
 @inlined
-def _polynomial(square: float, first: float, second: float, third: float) -> float:
-    """Return 1 + a r^2 + b r^4 + c r^6 of a squared radius."""
-    return 1 + square * (first + square * (second + square * third))
-
-
-@inlined
-def _distort(k: Floats, x: float, y: float, square: float, radial: float) -> tuple[float, float]:
-    """Return where the lens puts a point of the plane z = 1, with its squared radius."""
-    twist = 2 * x * y
+def brown(lens: Floats, x: float, y: float) -> _Six:
+    """Return what `distort` does, for the model of Brown and Conrady."""
+    k1, k2, p1, p2 = lens[6], lens[7], lens[8], lens[9]
+    k3, k4, k5, k6 = lens[10], lens[11], lens[12], lens[13]
+    square = x * x + y * y
+    above = 1 + square * (k1 + square * (k2 + square * k3))
+    below = 1 / (1 + square * (k4 + square * (k5 + square * k6)))
+    radial = above * below
+    above_slope = k1 + square * (2 * k2 + 3 * square * k3)
+    below_slope = k4 + square * (2 * k5 + 3 * square * k6)
+    slope = (above_slope - radial * below_slope) * below  # d radial / d r^2
     return (
-        x * radial + k[2] * twist + k[3] * (square + 2 * x * x),
-        y * radial + k[3] * twist + k[2] * (square + 2 * y * y),
+        x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+        y * radial + 2 * p2 * x * y + p1 * (square + 2 * y * y),
+        radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x,
+        2 * x * y * slope + 2 * p1 * x + 2 * p2 * y,
+        radial + 2 * y * y * slope + 2 * p2 * x + 6 * p1 * y,
+        square * below,
     )
 
 
 @inlined
-def _step(k: Floats, x: Floats, y: Floats, to_x: Floats, to_y: Floats, step: Floats) -> None:
-    """Take Newton's step `[2, LANES]` towards the points that the lens puts at (to_x, to_y)."""
-    for n in range(LANES):
-        of_x, of_y = x[n], y[n]
-        square = of_x * of_x + of_y * of_y
-        below = _polynomial(square, k[5], k[6], k[7])
-        radial = _polynomial(square, k[0], k[1], k[4]) / below
-        above_slope = k[0] + square * (2 * k[1] + 3 * square * k[4])
-        below_slope = k[5] + square * (2 * k[6] + 3 * square * k[7])
-        slope = (above_slope - radial * below_slope) / below
-        xx = radial + 2 * of_x * of_x * slope + 2 * k[2] * of_y + 6 * k[3] * of_x
-        yy = radial + 2 * of_y * of_y * slope + 2 * k[3] * of_x + 6 * k[2] * of_y
-        xy = 2 * of_x * of_y * slope + 2 * k[2] * of_x + 2 * k[3] * of_y
-        determinant = xx * yy - xy * xy
-        inverse = 1 / (determinant if abs(determinant) > _FLATTEST else _FLATTEST)
-        lens_x, lens_y = _distort(k, of_x, of_y, square, radial)
-        off_x, off_y = to_x[n] - lens_x, to_y[n] - lens_y
-        step[0, n] = (yy * off_x - xy * off_y) * inverse
-        step[1, n] = (xx * off_y - xy * off_x) * inverse
-        x[n] = of_x + step[0, n]
-        y[n] = of_y + step[1, n]
+def _fisheye_radius(lens: Floats, theta: float) -> tuple[float, float]:
+    """Return the distorted radius at an angle to the axis, and its slope.
 
-
-@inlined
-def _still_moving(step: Floats, settled: float) -> bool:
-    """Return whether any of the steps `[2, LANES]` is longer than that."""
-    moving = 0
-    for n in range(LANES):
-        moving += int(abs(step[0, n]) > settled or abs(step[1, n]) > settled)
-    return moving > 0
-
-
-@inlined
-def _miss(k: Floats, x: Floats, y: Floats, to_x: Floats, to_y: Floats, step: Floats) -> None:
-    """Set by how much the lens misses (to_x, to_y), and the squared radii: `[2, LANES]`."""
-    for n in range(LANES):
-        of_x, of_y = x[n], y[n]
-        square = of_x * of_x + of_y * of_y
-        below = _polynomial(square, k[5], k[6], k[7])
-        radial = _polynomial(square, k[0], k[1], k[4]) / below
-        lens_x, lens_y = _distort(k, of_x, of_y, square, radial)
-        step[0, n] = max(abs(to_x[n] - lens_x), abs(to_y[n] - lens_y))
-        step[1, n] = square
-
-
-@inlined
-def _make_rays(x: Floats, y: Floats, length: Floats) -> None:
-    """Make points of the plane z = 1 the unit rays (x, y, length), `[LANES]` each."""
-    for n in range(LANES):
-        length[n] = 1 / math.sqrt(1 + x[n] * x[n] + y[n] * y[n])
-        x[n] *= length[n]
-        y[n] *= length[n]
-
-
-@inlined
-def _find_points(k: Floats, steps: int, limits: Floats, work: Floats) -> None:
-    """Set the points of the plane z = 1 that the lens puts at others, by Newton's method.
-
-    work: `[7, LANES]`: points that are found; one row that is free; the others, in focal lengths;
-    and by how much the lens misses these and the squared radii, 0 where it has no distortion.
+    r = theta (1 + k1 theta^2 + ... + k4 theta^8), and dr / dtheta.
     """
-    x, y, to_x, to_y, step = work[0], work[1], work[3], work[4], work[5:]
+    k1, k2, k3, k4 = lens[6], lens[7], lens[8], lens[9]
+    square = theta * theta
+    series = k1 + square * (k2 + square * (k3 + square * k4))
+    slopes = 3 * k1 + square * (5 * k2 + square * (7 * k3 + square * 9 * k4))
+    return theta * (1 + square * series), 1 + square * slopes
+
+
+@inlined
+def _fisheye(lens: Floats, x: float, y: float) -> _Six:
+    """Return what `distort` does, for a fisheye lens."""
+    radius = max(math.hypot(x, y), _LEAST_RADIUS)
+    theta = math.atan(radius)
+    distorted, slope = _fisheye_radius(lens, theta)
+    radial = distorted / radius
+    by_radius = (slope / (1 + radius * radius) - radial) / (radius * radius)
+    return (
+        x * radial,
+        y * radial,
+        radial + x * x * by_radius,
+        x * y * by_radius,
+        radial + y * y * by_radius,
+        theta * theta * theta / radius,
+    )
+
+
+@inlined
+def distort(lens: Floats, x: float, y: float) -> _Six:
+    """Return where a lens puts a point of the plane z = 1, and its derivatives.
+
+    x and y; the symmetric Jacobian xx, xy, yy; and d x / d k1 over x, which is d y / d k1 over y.
+    """
+    if lens[0] == FISHEYE:
+        return _fisheye(lens, x, y)
+    return brown(lens, x, y)
+
+
+@inlined
+def _step(lens: Floats, x: float, y: float, to_x: float, to_y: float) -> tuple[float, float]:
+    """Return Newton's step towards the point that a lens of Brown and Conrady puts at `to`."""
+    lens_x, lens_y, xx, xy, yy, _ = brown(lens, x, y)
+    determinant = xx * yy - xy * xy
+    inverse = 1 / (determinant if abs(determinant) > _FLATTEST else _FLATTEST)
+    off_x, off_y = to_x - lens_x, to_y - lens_y
+    return (yy * off_x - xy * off_y) * inverse, (xx * off_y - xy * off_x) * inverse
+
+
+@inlined
+def _find_points(lens: Floats, limits: Floats, work: Floats, found: Bools) -> None:
+    """Set the points of the plane z = 1 that a lens puts at others, and which were found.
+
+    By Newton's method. work: `[5, LANES]` the points, the others, in focal lengths, and the length
+    of the last step. limits: see `unproject`. Past the first fold of a lens lie further solutions,
+    which mean nothing.
+    """
+    x, y, to_x, to_y, length = work[0], work[1], work[2], work[3], work[4]
     x[:], y[:] = to_x, to_y
-    step[:] = 0.0
-    for _ in range(steps):
-        _step(k, x, y, to_x, to_y, step)
-        if not _still_moving(step, limits[0]):
+    for _ in range(_STEPS):
+        for n in range(LANES):
+            step_x, step_y = _step(lens, x[n], y[n], to_x[n], to_y[n])
+            x[n] += step_x
+            y[n] += step_y
+            length[n] = max(abs(step_x), abs(step_y))
+        moving = 0
+        for n in range(LANES):
+            moving += int(length[n] > _SETTLED)
+        if moving == 0:
             break
-    if steps > 0:
-        _miss(k, x, y, to_x, to_y, step)
+    for n in range(LANES):
+        lens_x, lens_y, _, _, _, _ = brown(lens, x[n], y[n])
+        miss = max(abs(to_x[n] - lens_x), abs(to_y[n] - lens_y))
+        found[n] = (miss <= limits[0]) & (x[n] * x[n] + y[n] * y[n] < limits[1])
 
 
-@kernel("f8[::1], f8[:,::1], f8[:,::1], i8[::1], f8[:,::1], i8[::1], f8[::1], b1[:,::1]")
+@inlined
+def _find_carefully(lens: Floats, limits: Floats, to_x: float, to_y: float) -> tuple[float, float]:
+    """Return the point that a lens puts at another, from the middle outwards in small steps."""
+    x = y = 0.0
+    for _ in range(_CAREFUL_STEPS):
+        step_x, step_y = _step(lens, x, y, to_x, to_y)
+        share = min(1.0, _CAREFUL_STEP / max(math.hypot(step_x, step_y), 1e-12))
+        x, y = x + share * step_x, y + share * step_y
+    lens_x, lens_y, _, _, _, _ = brown(lens, x, y)
+    if max(abs(to_x - lens_x), abs(to_y - lens_y)) <= limits[2]:
+        return x, y
+    return np.nan, np.nan
+
+
+@inlined
+def _find_fisheye_ray(
+    lens: Floats, limits: Floats, x: float, y: float
+) -> tuple[float, float, float]:
+    """Return the unit ray that a fisheye lens puts at a point, by Newton's method on the angle."""
+    radius = math.hypot(x, y)
+    theta = min(radius, math.pi / 2)
+    for _ in range(_FISHEYE_STEPS):
+        value, slope = _fisheye_radius(lens, theta)
+        step = (value - radius) / (slope if abs(slope) > _FLATTEST else _FLATTEST)
+        theta = min(max(theta - step, 0.0), math.pi)
+        if abs(step) <= 1e-15:
+            break
+    value, _ = _fisheye_radius(lens, theta)
+    if not abs(value - radius) <= limits[2]:
+        return np.nan, np.nan, np.nan
+    scale = 1.0 if radius <= 1e-12 else math.sin(theta) / radius
+    return x * scale, y * scale, math.cos(theta)
+
+
+@kernel("f8[::1], f8[:,::1], f8[:,::1], i8[::1], i8, f8[::1]")
 def unproject(
-    pixels: Floats,
-    intrinsics: Floats,
-    k: Floats,
-    steps: Ints,
-    limits: Floats,
-    strides: Ints,
-    rays: Floats,
-    doubtful: Bools,
+    pixels: Floats, lenses: Floats, limits: Floats, strides: Floats, count: int, rays: Floats
 ) -> None:
-    """Set the rays of N pixels of each view, and where none was found, `[view, N]`.
+    """Set the unit rays of so many pixels of each view; NaN where no ray has the pixel.
 
     pixels, rays: `[view * N * 2]` and `[view * N * 3]`. strides: (4,) between points and between
-    coordinates of these, and then of those. intrinsics: `[view, 4]` focal lengths, then the
-    principal point. k: `[view, 8]` `Coefficients`. steps: `[view]` Newton's, 0 where the lens has
-    no distortion, below 0 = all are doubtful. limits: `[view, 3]` `Limits`.
+    coordinates of these, and then of those. limits: `[view, 3]` by how much the lens may miss the
+    pixel in focal lengths, the squared radius of its first fold, and by how much at most.
     """
-    views, count = doubtful.shape
-    work = np.zeros((7, LANES))
-    x, y, length, to_x, to_y, step = work[0], work[1], work[2], work[3], work[4], work[5:]
-    for view in range(views):
-        if steps[view] < 0:
-            doubtful[view] = True
-            continue
-        focal_x, focal_y, middle_x, middle_y = intrinsics[view]
+    work, found = np.zeros((5, LANES)), np.zeros(LANES, dtype=np.bool_)
+    ray = np.zeros((3, LANES))
+    x, y, to_x, to_y = work[0], work[1], work[2], work[3]
+    for view in range(len(lenses)):
+        lens, limit = lenses[view], limits[view]
         for start in range(0, count, LANES):
             here = min(LANES, count - start)
             at = 2 * view * count + start * strides[0]
-            to_x[here:], to_y[here:] = middle_x, middle_y
+            to_x[here:], to_y[here:] = 0.0, 0.0
             for n in range(here):
-                to_x[n] = pixels[at + n * strides[0]]
-                to_y[n] = pixels[at + n * strides[0] + strides[1]]
-            for n in range(LANES):
-                to_x[n] = (to_x[n] - middle_x) / focal_x
-                to_y[n] = (to_y[n] - middle_y) / focal_y
-            _find_points(k[view], steps[view], limits[view], work)
-            for n in range(here):
-                found = step[0, n] <= limits[view, 1] and step[1, n] < limits[view, 2]
-                doubtful[view, start + n] = not found and math.isfinite(to_x[n] + to_y[n])
-            _make_rays(x, y, length)
+                to_x[n] = (pixels[at + n * strides[0]] - lens[4]) / lens[2]
+                to_y[n] = (pixels[at + n * strides[0] + strides[1]] - lens[5]) / lens[3]
+            if lens[0] == FISHEYE:
+                for n in range(here):
+                    ray[0, n], ray[1, n], ray[2, n] = _find_fisheye_ray(
+                        lens, limit, to_x[n], to_y[n]
+                    )
+            else:
+                _find_points(lens, limit, work, found)
+                for n in range(here):
+                    if not found[n] and math.isfinite(to_x[n] + to_y[n]):
+                        x[n], y[n] = _find_carefully(lens, limit, to_x[n], to_y[n])
+                for n in range(LANES):
+                    length = 1 / math.sqrt(1 + x[n] * x[n] + y[n] * y[n])
+                    ray[0, n], ray[1, n], ray[2, n] = x[n] * length, y[n] * length, length
             at = 3 * view * count + start * strides[2]
             for n in range(here):
                 for row in range(3):
-                    rays[at + n * strides[2] + row * strides[3]] = work[row, n]
+                    rays[at + n * strides[2] + row * strides[3]] = ray[row, n]
 
 
-@inlined
-def _add_misses(
-    pose: Floats,
-    intrinsics: Floats,
-    k: Floats,
-    point: Floats,
-    pixel: Floats,
-    used: Floats,
-    total: Floats,
-) -> None:
-    """Add the squared distances in pixels of points `[3, LANES]` from what a view saw of them.
+@kernel("f8[::1], f8[:,::1], f8[:,::1]")
+def project(lens: Floats, points: Floats, pixels: Floats) -> None:
+    """Set the pixels `[2, N]` of points `[3, N]` in the camera's axes; NaN behind the camera."""
+    for n in range(points.shape[1]):
+        depth = points[2, n] if points[2, n] > 1e-9 else np.nan
+        x, y, _, _, _, _ = distort(lens, points[0, n] / depth, points[1, n] / depth)
+        pixels[0, n] = lens[2] * x + lens[4]
+        pixels[1, n] = lens[3] * y + lens[5]
 
-    pose: `[3, 4]` cam_from_world. pixel: `[2, LANES]`. used: `[LANES]`, 0 or 1. total: sums of
-    squares and of numbers, `[2, LANES]`. A point behind the camera adds no square.
+
+@kernel("f8[::1], f8[:,::1], f8[:,:,::1]")
+def set_slopes(lens: Floats, image: Floats, slopes: Floats) -> None:
+    """Set `[4, 2, N]` the derivatives of pixels: by x, y, the log focal length and k1.
+
+    image: `[2, N]` points of the plane z = 1.
     """
-    focal_x, focal_y, middle_x, middle_y = intrinsics
-    for n in range(LANES):
-        x, y, z = point[0, n], point[1, n], point[2, n]
-        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
-        closeness = 1 / depth
-        of_x = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * closeness
-        of_y = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * closeness
-        square = of_x * of_x + of_y * of_y
-        radial = _polynomial(square, k[0], k[1], k[4]) / _polynomial(square, k[5], k[6], k[7])
-        lens_x, lens_y = _distort(k, of_x, of_y, square, radial)
-        off_x = focal_x * lens_x + middle_x - pixel[0, n]
-        off_y = focal_y * lens_y + middle_y - pixel[1, n]
-        miss = off_x * off_x + off_y * off_y
-        known = (depth > 1e-9) & (used[n] > 0) & (miss < np.inf)
-        total[0, n] += miss if known else 0.0
-        total[1, n] += used[n]
+    for n in range(image.shape[1]):
+        x, y = image[0, n], image[1, n]
+        lens_x, lens_y, xx, xy, yy, by_k1 = distort(lens, x, y)
+        slopes[0, 0, n], slopes[1, 0, n] = lens[2] * xx, lens[2] * xy
+        slopes[0, 1, n], slopes[1, 1, n] = lens[3] * xy, lens[3] * yy
+        slopes[2, 0, n], slopes[2, 1, n] = lens[2] * lens_x, lens[3] * lens_y
+        slopes[3, 0, n], slopes[3, 1, n] = lens[2] * x * by_k1, lens[3] * y * by_k1
 
 
-@kernel("f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], b1[:,::1], f8[::1]")
+@kernel("f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], b1[:,::1], f8[::1]")
 def reprojection_errors(
-    pose: Floats,
-    intrinsics: Floats,
-    k: Floats,
-    points: Floats,
-    pixels: Floats,
-    used: Bools,
-    error: Floats,
+    pose: Floats, lenses: Floats, points: Floats, pixels: Floats, used: Bools, error: Floats
 ) -> None:
     """Set the RMS distances `[N]` in pixels of points `[3, N]` from detections; NaN = none is used.
 
-    pose: `[view, 3, 4]` cam_from_world. intrinsics: `[view, 4]` focal lengths, then the principal
-    point. k: `[view, 8]`. pixels: `[view, 2, N]`. used: `[view, N]`.
+    pose: `[view, 3, 4]` cam_from_world. pixels: `[view, 2, N]`. used: `[view, N]`. A view that has
+    a point behind it adds no distance.
     """
-    point, pixel, own = np.zeros((3, LANES)), np.zeros((2, LANES)), np.zeros(LANES)
-    total = np.empty((2, LANES))
+    count, total = np.empty(LANES), np.empty(LANES)
     for start in range(0, points.shape[1], LANES):
         here = min(LANES, points.shape[1] - start)
-        for row in range(3):
-            point[row, :here] = points[row, start : start + here]
-        total[:] = 0.0
+        count[:], total[:] = 0.0, 0.0
         for view in range(len(pose)):
-            for row in range(2):
-                pixel[row, :here] = pixels[view, row, start : start + here]
+            turn, lens = pose[view], lenses[view]
             for n in range(here):
-                own[n] = 1.0 if used[view, start + n] else 0.0
-            _add_misses(pose[view], intrinsics[view], k[view], point, pixel, own, total)
+                m = start + n
+                x, y, z = points[0, m], points[1, m], points[2, m]
+                depth = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + turn[2, 3]
+                of_x = (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + turn[0, 3]) / depth
+                of_y = (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + turn[1, 3]) / depth
+                lens_x, lens_y, _, _, _, _ = distort(lens, of_x, of_y)
+                off_x = lens[2] * lens_x + lens[4] - pixels[view, 0, m]
+                off_y = lens[3] * lens_y + lens[5] - pixels[view, 1, m]
+                miss = off_x * off_x + off_y * off_y
+                known = (depth > 1e-9) & used[view, m] & (miss < np.inf)
+                total[n] += miss if known else 0.0
+                count[n] += 1.0 if used[view, m] else 0.0
         for n in range(here):
-            count = total[1, n]
-            error[start + n] = math.sqrt(total[0, n] / count) if count > 0 else np.nan
+            error[start + n] = math.sqrt(total[n] / count[n]) if count[n] > 0 else np.nan

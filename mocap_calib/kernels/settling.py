@@ -2,7 +2,7 @@
 
 What a view saw of a point is `[4, 3]` numbers: its ray and the two rows of its metric, where lenses
 are known; its pixel, else; and where the origin lay in its frame when it saw the point. A lens is a
-row as of `PixelObservations.lens_rows`.
+row as of `kernels.lens`.
 """
 
 from typing import Any
@@ -10,55 +10,8 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.kernels.jit import inlined, kernel
+from mocap_calib.kernels.lens import distort
 from mocap_calib.types import Floats
-
-_FISHEYE = 2.0
-_Six = tuple[float, float, float, float, float, float]
-
-
-@inlined
-def _kannala_brandt(lens: Floats, v: int, x: float, y: float) -> _Six:
-    """Return what `_lens` does, of a fisheye lens."""
-    k1, k2, k3, k4 = lens[v, 6], lens[v, 7], lens[v, 8], lens[v, 9]
-    radius = max(np.hypot(x, y), 1e-5)
-    theta = np.arctan(radius)
-    square = theta * theta
-    series = k1 + square * (k2 + square * (k3 + square * k4))
-    slopes = 3 * k1 + square * (5 * k2 + square * (7 * k3 + square * 9 * k4))
-    radial = theta * (1 + square * series) / radius
-    by_radius = ((1 + square * slopes) / (1 + radius * radius) - radial) / (radius * radius)
-    return (
-        x * radial,
-        y * radial,
-        radial + x * x * by_radius,
-        x * y * by_radius,
-        radial + y * y * by_radius,
-        square * theta / radius,
-    )
-
-
-@inlined
-def _lens(lens: Floats, v: int, x: float, y: float) -> _Six:
-    """Return where a lens puts a point, the slopes xx, xy, yy of that, and x by k1 over x."""
-    if lens[v, 0] == _FISHEYE:
-        return _kannala_brandt(lens, v, x, y)
-    k1, k2, p1, p2 = lens[v, 6], lens[v, 7], lens[v, 8], lens[v, 9]
-    k3, k4, k5, k6 = lens[v, 10], lens[v, 11], lens[v, 12], lens[v, 13]
-    square = x * x + y * y
-    above = 1 + square * (k1 + square * (k2 + square * k3))
-    below = 1 / (1 + square * (k4 + square * (k5 + square * k6)))
-    radial = above * below
-    above_slope = k1 + square * (2 * k2 + 3 * square * k3)
-    below_slope = k4 + square * (2 * k5 + 3 * square * k6)
-    slope = (above_slope - radial * below_slope) * below
-    return (
-        x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-        y * radial + 2 * p2 * x * y + p1 * (square + 2 * y * y),
-        radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x,
-        2 * x * y * slope + 2 * p1 * x + 2 * p2 * y,
-        radial + 2 * y * y * slope + 2 * p2 * x + 6 * p1 * y,
-        square * below,
-    )
 
 
 @inlined
@@ -98,7 +51,7 @@ def _residual(
     along = max(z, nearest)
     by = 1 / along
     x, y = x * by, y * by
-    there_x, there_y, xx, xy, yy, _ = _lens(lens, v, x, y)
+    there_x, there_y, xx, xy, yy, _ = distort(lens[v], x, y)
     per_x, per_y = lens[v, 2], lens[v, 3]
     a, b, d, e = per_x * xx * by, per_x * xy * by, per_y * xy * by, per_y * yy * by
     r = per_x * there_x + lens[v, 4] - saw[v, 0, 0] * lens[v, 1]
@@ -217,7 +170,7 @@ def _settle(given: Any, steps: int, points: Floats) -> None:
 def _set_own(lens: Floats | None, v: int, x: float, y: float, root: float, own: Floats) -> None:
     """Set the weighed slopes `[2, intrinsic]` by log focal length and k1, where they may change."""
     if lens is not None:
-        there_x, there_y, _, _, _, by_k1 = _lens(lens, v, x, y)
+        there_x, there_y, _, _, _, by_k1 = distort(lens[v], x, y)
         per_x, per_y = lens[v, 2], lens[v, 3]
         for i in range(own.shape[1]):
             by_r = per_x * (x * by_k1 if i else there_x)

@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocap_calib.geometry import brown_conrady, kannala_brandt
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.geometry.epipolar import (
@@ -17,6 +16,7 @@ from mocap_calib.geometry.epipolar import (
 )
 from mocap_calib.geometry.graphs import connected_parts, spanning_tree
 from mocap_calib.geometry.intersection import intersect
+from mocap_calib.geometry.lens import project
 from mocap_calib.geometry.point_covariance import median_angles
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rays import ray_angles
@@ -254,17 +254,19 @@ def test_lenses_in_a_mirror_and_turned_about_their_axis(seed):
     rng = np.random.default_rng(seed)
     image, angle = rng.uniform(-0.7, 0.7, (2, 30)), rng.uniform(0, 2 * np.pi)
     turn = matrix_from_vector(np.array([0.0, 0.0, angle]))[:2, :2]
-    k = brown_conrady.Coefficients(*(0.1 * rng.normal(size=8)))
-    mirrored = brown_conrady.distort(k._replace(p2=-k.p2), MIRROR[:2, :2] @ image)
-    np.testing.assert_allclose(
-        mirrored, MIRROR[:2, :2] @ brown_conrady.distort(k, image), atol=1e-14
-    )
-    radial = k._replace(p1=0.0, p2=0.0)
-    turned = brown_conrady.distort(radial, turn @ image)
-    np.testing.assert_allclose(turned, turn @ brown_conrady.distort(radial, image), atol=1e-14)
-    fisheye = 0.1 * rng.normal(size=4)
-    turned = kannala_brandt.distort(fisheye, turn @ image)
-    np.testing.assert_allclose(turned, turn @ kannala_brandt.distort(fisheye, image), atol=1e-14)
+    k1, k2, p1, p2, *more = 0.1 * rng.normal(size=8)
+
+    def distort(points: np.ndarray, *distortion: float, fisheye: bool = False) -> np.ndarray:
+        camera = Camera("a", (1, 1), np.eye(3), np.array(distortion), fisheye)
+        return project(camera, np.concatenate([points, np.ones((1, 30))]))
+
+    mirrored = distort(MIRROR[:2, :2] @ image, k1, k2, p1, -p2, *more)
+    expected = MIRROR[:2, :2] @ distort(image, k1, k2, p1, p2, *more)
+    np.testing.assert_allclose(mirrored, expected, atol=1e-14)
+    for lens, fisheye in (((k1, k2, 0.0, 0.0, *more), False), ((k1, k2, p1, p2), True)):
+        turned = distort(turn @ image, *lens, fisheye=fisheye)
+        expected = turn @ distort(image, *lens, fisheye=fisheye)
+        np.testing.assert_allclose(turned, expected, atol=1e-14)
 
 
 @law

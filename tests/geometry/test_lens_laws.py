@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import rays as oracle
 from test_lens_slopes import assert_slopes
 
 from mocap_calib.geometry import lens
-from mocap_calib.geometry.reprojection import _reprojection_error, project, reprojection_error
+from mocap_calib.geometry.reprojection import project, reprojection_error
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import Camera, CameraRig
 
@@ -50,20 +51,27 @@ def test_a_ray_has_a_pixel_and_the_pixel_has_that_ray(seed, fisheye):
 
 @law
 @given(SEEDS, st.floats(0, 8))
-def test_the_kernel_gives_the_rays_of_its_definition(seed, strength):
+def test_a_pixel_has_the_ray_that_projects_to_it_or_none(seed, strength):
     """Lenses of no distortion to more than any has, many of which fold within the image.
 
-    Measured 7e-16 of 1,600 lenses.
+    Before the first fold each pixel has its ray; beyond, a ray within half a pixel, or none.
     """
     camera, image = lens_of(seed, fisheye=False)
     camera = replace(camera, distortion=strength * camera.distortion)
     rng = np.random.default_rng(seed)
-    pixels = camera.matrix[[0, 1], [0, 1]][:, None] * image + rng.normal(size=image.shape)
-    pixels += camera.matrix[:2, 2:]
+    ones = np.ones((1, image.shape[1]))
+    known = lens.project(camera, np.concatenate([image, ones]))
+    _, fold, _ = lens._limits(*lens.rows((camera,))[0].tolist())
+    before = (image**2).sum(0) < 0.5 * fold
+    rays = lens.unproject(camera, known)
+    np.testing.assert_allclose((rays[:2] / rays[2])[:, before], image[:, before], atol=1e-8)
+    pixels = known + rng.normal(size=known.shape) * 50
     pixels[:, rng.random(len(image[0])) < 0.1] = np.nan
-    found, expected = lens.unproject(camera, pixels), lens._unproject(camera, pixels)
-    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    found = lens.unproject(camera, pixels)
+    there = np.isfinite(found[0])
+    assert not there[np.isnan(pixels[0])].any()
+    again = lens.project(camera, found[:, there])
+    assert np.abs(again - pixels[:, there]).max(initial=0) < 0.51
 
 
 @law
@@ -96,7 +104,7 @@ def test_the_kernel_gives_the_reprojection_errors_of_its_definition(seed):
     """
     rng = np.random.default_rng(seed)
     cameras = tuple(
-        replace(lens_of(seed + view, fisheye=False)[0], name=str(view)) for view in range(4)
+        replace(lens_of(seed + view, fisheye=view == 1)[0], name=str(view)) for view in range(4)
     )
     turn = 0.1 * rng.normal(size=(4, 3)) + np.outer([0, 0, 0, np.pi], [1, 0, 0])  # one looks away
     rig = CameraRig(cameras, matrix_from_vector(turn), rng.normal(size=(4, 3)) + [0, 0, 9.0], "m")
@@ -105,7 +113,7 @@ def test_the_kernel_gives_the_reprojection_errors_of_its_definition(seed):
     used = rng.random((4, 150)) < 0.4
     points[:, :5] = np.nan
     found = reprojection_error(rig, points, pixels=pixels, used=used)
-    expected = _reprojection_error(rig, points, pixels=pixels, used=used)
+    expected = oracle.reprojection_error(rig, points, pixels=pixels, used=used)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
