@@ -1,6 +1,7 @@
 """What several test files share: the command, and one run of it on a small recording."""
 
 import os
+import signal
 import subprocess
 import sys
 from collections import Counter
@@ -20,6 +21,9 @@ from mocap_calib.io.sandbox import _calls
 # as the commands do: further threads of the libraries only spin when the machine has other work
 torch.set_num_threads(1)
 threadpool_limits(1)
+
+# a shell starts a job in the background with SIGINT ignored, which the commands would inherit
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 TOOL = Path(sys.executable).with_name("mocap-calib")
 Run = Callable[..., subprocess.CompletedProcess[str]]

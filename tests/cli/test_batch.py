@@ -380,7 +380,7 @@ def test_processes_end_with_a_batch_that_is_interrupted(sessions, once, tool, tm
     assert "Traceback" not in said
     assert process.returncode == 130
     assert len(workers) == 2
-    assert psutil.wait_procs(workers, timeout=10)[1] == []
+    assert psutil.wait_procs(workers, timeout=120)[1] == []
     done = batch(tool, sessions, out, "--jobs", "2", "--json")
     assert done.returncode == 0, done.stderr
     assert "2 at a time" in done.stderr

@@ -106,7 +106,7 @@ def test_an_interruption_ends_work_that_is_under_way(tmp_path):
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         start_and_interrupt(tmp_path)
-    assert time.monotonic() - start < 20
+    assert time.monotonic() - start < 50
     assert [path.name for path in tmp_path.iterdir()] in ([], ["one"])
     for path in tmp_path.iterdir():
         assert not psutil.pid_exists(int(path.read_text()))
@@ -121,4 +121,4 @@ def test_a_process_at_work_ends_with_the_one_that_was_killed(tmp_path):
             time.sleep(0.01)
         worker = psutil.Process(int(said.read_text()))
         parent.kill()
-    assert psutil.wait_procs([worker], timeout=10)[1] == []
+    assert psutil.wait_procs([worker], timeout=120)[1] == []

@@ -14,7 +14,7 @@ def fail(message):
 
 @pytest.mark.usefixtures("two_processors")
 def test_both_calls_are_under_way_at_the_same_time_and_spread_their_work():
-    met = threading.Barrier(2, timeout=20)  # broken where one call waits for the other to end
+    met = threading.Barrier(2, timeout=120)  # broken where one call waits for the other to end
 
     def meet_and_spread(numbers):
         met.wait()

@@ -545,10 +545,10 @@ def test_another_column_taken_for_cameras_or_keypoints_is_refused_at_once(
     """
     lines = ["camera,frame,individual,keypoint,x,y", *map(row.format, range(count))]
     (tmp_path / "a.csv").write_text("\n".join(lines))
-    begun = time.perf_counter()
+    begun = time.process_time()
     with pytest.raises(FormatError, match=f"at most {what}, found {count}"):
         read_keypoints([tmp_path / "a.csv"])
-    assert time.perf_counter() - begun < 10
+    assert time.process_time() - begun < 10
 
 
 def test_an_h5_that_unpacks_to_a_giant_is_refused_before_it_is_read(tmp_path):

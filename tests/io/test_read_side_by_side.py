@@ -50,7 +50,7 @@ def test_order_stays_and_errors_are_collected(tmp_path, monkeypatch):
 
 def test_two_files_of_hdf5_are_under_way_at_once(tmp_path, monkeypatch):
     paths = write(tmp_path, "a.h5", "b.h5")
-    both, plain = Barrier(2, timeout=20), read._read_contained
+    both, plain = Barrier(2, timeout=120), read._read_contained
 
     def wait(*given):
         both.wait()

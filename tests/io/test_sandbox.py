@@ -77,7 +77,7 @@ def test_what_it_does_not_survive_is_a_line(call, how):
         ),
     ):
         inside(call)
-    assert time.perf_counter() - begun < 15
+    assert time.perf_counter() - begun < 120
     assert inside(process) != os.getpid()
 
 
@@ -131,8 +131,8 @@ def test_calls_of_other_threads_are_ended(size):
         end_calls()
         for call in calls:
             with pytest.raises(FormatError, match="does not survive"):
-                call.result(timeout=10)
-    assert time.monotonic() - start < 5
+                call.result(timeout=50)
+    assert time.monotonic() - start < 50
     assert inside(process) != os.getpid()
 
 
