@@ -23,7 +23,6 @@ from mocap_calib.config import (
 )
 from mocap_calib.kernels.intersection import intersect_rays
 from mocap_calib.kernels.loading import contiguous
-from mocap_calib.kernels.outlying_rays import refine_among_outliers
 from mocap_calib.types import CameraRig, Floats
 
 
@@ -35,23 +34,24 @@ def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
     """
     middle = rig.centres.mean(0)
     points = np.empty(world.shape[1:])
-    doubts = np.empty(world.shape[-1], dtype=bool)
-    given = contiguous(rig.centres - middle, world, precision)
-    steps = np.full(INTERSECT_STEPS, INTERSECT_LOSS_SCALE)
-    intersect_rays(*given, steps, INTERSECT_DOUBTFUL, points, doubts)
-    doubtful = np.flatnonzero(doubts)
-    if len(doubtful):
-        first, others = _candidate_pairs(len(rig))
-        refine_among_outliers(
-            *given,
-            doubtful,
-            np.array(first + others, dtype=np.int64).reshape(-1, 2),
-            len(first),
-            np.array(INTERSECT_TIGHTENING_SCALES),
-            np.full(INTERSECT_POLISH_STEPS, INTERSECT_LOSS_SCALE),
-            np.array([INTERSECT_OUTLIER, INTERSECT_AGREEING_RAYS, INTERSECT_AGREEING_SHARE]),
-            points,
-        )
+    first, others = _candidate_pairs(len(rig))
+    intersect_rays(
+        *contiguous(rig.centres - middle, world, precision),
+        np.array(first + others, dtype=np.int64).reshape(-1, 2),
+        len(first),
+        np.full(INTERSECT_STEPS, INTERSECT_LOSS_SCALE),
+        np.array(INTERSECT_TIGHTENING_SCALES),
+        np.full(INTERSECT_POLISH_STEPS, INTERSECT_LOSS_SCALE),
+        np.array(
+            [
+                INTERSECT_DOUBTFUL,
+                INTERSECT_OUTLIER,
+                INTERSECT_AGREEING_RAYS,
+                INTERSECT_AGREEING_SHARE,
+            ]
+        ),
+        points,
+    )
     return points + middle[:, None]
 
 

@@ -9,8 +9,7 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import INTERSECT_LOSS_SCALE
 from mocap_calib.geometry.view_blocks import ViewBlock, view_blocks
-from mocap_calib.kernels import point_covariance as kernels
-from mocap_calib.kernels import rays
+from mocap_calib.kernels import rays as kernels
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import CameraRig, Floats
 
@@ -70,5 +69,5 @@ def _median_angles_in_block(rig: CameraRig, points: Floats, weight: Floats) -> F
     """Return what `median_angles` does of a block, where most views see most of the points."""
     medians = np.empty(weight.shape)
     given = contiguous(rig.centres, points, weight)
-    rays.median_angles(*given, _LEAST_SHARE, _UNTOUCHED, medians)
+    kernels.median_angles(*given, _LEAST_SHARE, _UNTOUCHED, medians)
     return medians

@@ -1,205 +1,222 @@
-"""Points from the rays of many views, compiled: `intersection` defines what is computed.
+"""Points from the rays of many views, robustly.
 
-All steps of `LANES` points are done before those of the next ones, of all views in turn.
+All steps of a point are done before the next one, on the rays of the views that see it: see
+`geometry.intersection`.
 """
 
 import numpy as np
 
+from mocap_calib.kernels.algebra import RIDGE, add_across
 from mocap_calib.kernels.jit import inlined, kernel
-from mocap_calib.types import Bools, Floats, Ints
-
-LANES = 64  # points at once
-_RIDGE = 1e-10  # as of `symmetric`
+from mocap_calib.types import Floats, Ints
 
 
 @inlined
-def _take_lanes(
-    start: int, world: Floats, seen: Floats, ray: Floats, precision: Floats, count: Ints
-) -> None:
-    """Set the rays of points from a start on, `[view, 3, LANES]`, and by how many views are seen.
-
-    precision: `[view, LANES]`. count: `[LANES]`. Beyond the points there is nothing.
-    """
-    here = min(LANES, world.shape[2] - start)
-    count[:] = 0
-    for view in range(len(world)):
-        for k in range(3):
-            ray[view, k, :here] = world[view, k, start : start + here]
-            ray[view, k, here:] = 0.0
-        precision[view, :here] = seen[view, start : start + here]
-        precision[view, here:] = 0.0
-        for n in range(LANES):
-            count[n] += precision[view, n] > 0
+def _solve(matrix: Floats, side: Floats, solution: Floats) -> None:
+    """Solve a symmetric system scaled to about 1 by cofactors; what is open is set to zero."""
+    xy, xz, yz = matrix[1], matrix[2], matrix[4]
+    xx, yy, zz = matrix[0] + RIDGE, matrix[3] + RIDGE, matrix[5] + RIDGE
+    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    determinant = xx * a + xy * b + xz * c
+    if not abs(determinant) > 1e-300:
+        determinant = np.inf
+    x, y, z = side[0], side[1], side[2]
+    solution[0] = (a * x + b * y + c * z) / determinant
+    solution[1] = (b * x + d * y + e * z) / determinant
+    solution[2] = (c * x + e * y + f * z) / determinant
 
 
 @inlined
-def _add_offsets(
-    centre: Floats, ray: Floats, weight: Floats, by_total: Floats, point: Floats, sums: Floats
-) -> None:
-    """Add w (I - u u') of a view to sums `[9, LANES]`, and w (o - u'o u) of offsets from it.
-
-    w: the weight times `by_total`, which is 1 over the sum of the weights of all views.
-    """
-    from_x, from_y, from_z = centre[0], centre[1], centre[2]
-    for n in range(LANES):
-        x, y, z = ray[0, n], ray[1, n], ray[2, n]
-        to_x, to_y, to_z = point[0, n] - from_x, point[1, n] - from_y, point[2, n] - from_z
-        share = weight[n] * by_total[n]
-        wx, wy, wz = share * x, share * y, share * z
-        along = to_x * x + to_y * y + to_z * z
-        sums[0, n] += share - wx * x
-        sums[1, n] -= wx * y
-        sums[2, n] -= wx * z
-        sums[3, n] += share - wy * y
-        sums[4, n] -= wy * z
-        sums[5, n] += share - wz * z
-        sums[6, n] += share * to_x - along * wx
-        sums[7, n] += share * to_y - along * wy
-        sums[8, n] += share * to_z - along * wz
+def _add(matrix: Floats, side: Floats, weight: float, ray: Floats, offset: Floats) -> None:
+    """Add w (I - u u') to a matrix, and w (o - u'o u) to a side."""
+    along = offset[0] * ray[0] + offset[1] * ray[1] + offset[2] * ray[2]
+    add_across(matrix, weight, ray[0], ray[1], ray[2])
+    for k in range(3):
+        side[k] += weight * (offset[k] - along * ray[k])
 
 
 @inlined
-def _step_back(sums: Floats, point: Floats) -> None:
-    """Take the solution of each system from a point `[3, LANES]`, as `symmetric.solve` finds it."""
-    for n in range(LANES):
-        xy, xz, yz = sums[1, n], sums[2, n], sums[4, n]
-        xx, yy, zz = sums[0, n] + _RIDGE, sums[3, n] + _RIDGE, sums[5, n] + _RIDGE
-        a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-        determinant = xx * a + xy * b + xz * c
-        inverse = 1 / determinant if abs(determinant) > 1e-300 else 0.0
-        x, y, z = sums[6, n], sums[7, n], sums[8, n]
-        point[0, n] -= (a * x + b * y + c * z) * inverse
-        point[1, n] -= (b * x + d * y + e * z) * inverse
-        point[2, n] -= (c * x + e * y + f * z) * inverse
-
-
-@inlined
-def _measure_lanes(
-    centre: Floats, ray: Floats, precision: Floats, point: Floats, error: Floats
-) -> None:
-    """Set the squared sines `[LANES]` of a view, infinite behind it, 0 where nothing is seen."""
-    from_x, from_y, from_z = centre[0], centre[1], centre[2]
-    for n in range(LANES):
-        x, y, z = point[0, n] - from_x, point[1, n] - from_y, point[2, n] - from_z
-        along = x * ray[0, n] + y * ray[1, n] + z * ray[2, n]
-        length = max(x * x + y * y + z * z, 1e-18)
-        error[n] = max(1 - along * along / length, 0.0) * precision[n]
-        if not along > 0 and precision[n] > 0:
-            error[n] = np.inf
-
-
-@inlined
-def _weigh_lanes(
+def _intersect_lines(
+    views: Ints,
     centre: Floats,
     ray: Floats,
     precision: Floats,
+    matrix: Floats,
+    side: Floats,
     point: Floats,
-    scale: float,
-    weight: Floats,
-    total: Floats,
 ) -> None:
-    """Set the weights `[LANES]` of a view under the loss of Geman and McClure, and add them up."""
-    from_x, from_y, from_z = centre[0], centre[1], centre[2]
-    narrow = 1 / scale**2
-    for n in range(LANES):
-        x, y, z = point[0, n] - from_x, point[1, n] - from_y, point[2, n] - from_z
-        along = x * ray[0, n] + y * ray[1, n] + z * ray[2, n]
-        square = max(x * x + y * y + z * z, 1e-18)
-        # (1 + error / scale^2) times the squared distance: one division in all
-        loss = square + max(square - along * along, 0.0) * precision[n] * narrow
-        weight[n] = precision[n] * square / (loss * loss)
-        total[n] += weight[n]
+    """Set the point nearest to weighted lines, in closed form, of these views."""
+    total = 0.0
+    for i in views:
+        total += precision[i]
+    matrix[:] = 0.0
+    side[:] = 0.0
+    for i in views:
+        _add(matrix, side, precision[i] / max(total, 1e-300), ray[i], centre[i])
+    _solve(matrix, side, point)
 
 
 @inlined
-def _invert_total(total: Floats) -> None:
-    """Set 1 over each of the totals `[LANES]`."""
-    for n in range(LANES):
-        total[n] = 1 / max(total[n], 1e-300)
-
-
-@inlined
-def _intersect_lanes(
-    centres: Floats,
+def _refine(
+    count: int,
+    centre: Floats,
     ray: Floats,
     precision: Floats,
-    steps: Floats,
+    scales: Floats,
     weight: Floats,
-    total: Floats,
-    sums: Floats,
+    matrix: Floats,
+    side: Floats,
     point: Floats,
 ) -> None:
-    """Set points `[3, LANES]` in closed form, and take a Gauss-Newton step at each scale."""
-    total[:] = sums[:] = point[:] = 0.0
-    for view in range(len(centres)):
-        for n in range(LANES):
-            total[n] += precision[view, n]
-    _invert_total(total)
-    for view in range(len(centres)):  # from anywhere a step on lines leads to the same point
-        _add_offsets(centres[view], ray[view], precision[view], total, point, sums)
-    _step_back(sums, point)
-    for scale in steps:
-        total[:] = sums[:] = 0.0
-        for view in range(len(centres)):
-            _weigh_lanes(
-                centres[view], ray[view], precision[view], point, scale, weight[view], total
-            )
-        _invert_total(total)
-        for view in range(len(centres)):
-            _add_offsets(centres[view], ray[view], weight[view], total, point, sums)
-        _step_back(sums, point)
+    """Take a Gauss-Newton step of a point at each scale of the loss of Geman and McClure."""
+    offset, step = np.empty(3), np.empty(3)
+    for scale in scales:
+        narrow, total = 1 / scale**2, 0.0
+        for i in range(count):
+            square, along = _lengths(centre[i], ray[i], point)
+            # (1 + error / scale^2) times the squared distance: one division in all
+            loss = square + max(square - along * along, 0.0) * precision[i] * narrow
+            weight[i] = precision[i] * square / (loss * loss)
+            total += weight[i]
+        by_total = 1 / max(total, 1e-300)
+        matrix[:] = 0.0
+        side[:] = 0.0
+        for i in range(count):
+            for k in range(3):
+                offset[k] = point[k] - centre[i, k]
+            _add(matrix, side, weight[i] * by_total, ray[i], offset)
+        _solve(matrix, side, step)
+        for k in range(3):
+            point[k] -= step[k]
 
 
 @inlined
-def _find_doubtful(
-    centres: Floats,
+def _lengths(centre: Floats, ray: Floats, point: Floats) -> tuple[float, float]:
+    """Return the squared length of the offset of a point, and its length along a ray."""
+    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    return max(x * x + y * y + z * z, 1e-18), x * ray[0] + y * ray[1] + z * ray[2]
+
+
+@inlined
+def _squared_error(centre: Floats, ray: Floats, precision: float, point: Floats) -> float:
+    """Return the squared sine between a ray and a point, infinite behind the camera."""
+    square, along = _lengths(centre, ray, point)
+    if not along > 0:
+        return np.inf
+    error: float = max(1 - along * along / square, 0.0) * precision
+    return error
+
+
+@inlined
+def _count_meeting(
+    count: int, centre: Floats, ray: Floats, precision: Floats, point: Floats, limit: float
+) -> int:
+    """Return how many rays pass a point within a squared error."""
+    meeting = 0
+    for i in range(count):
+        meeting += _squared_error(centre[i], ray[i], precision[i], point) <= limit
+    return meeting
+
+
+@inlined
+def _search_pairs(
+    rows: Ints,
+    pairs: Ints,
+    first: int,
+    count: int,
+    centre: Floats,
     ray: Floats,
     precision: Floats,
-    count: Ints,
-    doubtful: float,
+    outlier: float,
+    found: Floats,
     point: Floats,
-    error: Floats,
-    doubt: Bools,
 ) -> None:
-    """Set which points `[LANES]` of three and more rays have one that does not meet there.
+    """Set the best of the points that pairs of views give.
 
-    error: `[LANES]`, is overwritten.
+    rows: `[view]` the row of each view among the rays of the point, -1 = not seen.
     """
-    doubt[:] = False
+    matrix, side, both = np.empty(6), np.empty(3), np.empty(2, dtype=np.int64)
+    best = np.inf
+    for pair in range(len(pairs)):
+        both[0], both[1] = rows[pairs[pair, 0]], rows[pairs[pair, 1]]
+        if both[0] < 0 or both[1] < 0 or (pair >= first and best < np.inf):
+            continue
+        _intersect_lines(both, centre, ray, precision, matrix, side, found)
+        cost = 0.0
+        for i in range(count):
+            cost += min(_squared_error(centre[i], ray[i], precision[i], found), outlier)
+        if cost < best:
+            best = cost
+            point[:] = found
+
+
+@inlined
+def _gather(
+    n: int,
+    centres: Floats,
+    world: Floats,
+    seen: Floats,
+    rows: Ints,
+    centre: Floats,
+    ray: Floats,
+    precision: Floats,
+) -> int:
+    """Gather the rays of the views that see a point; return their number."""
+    count = 0
     for view in range(len(centres)):
-        _measure_lanes(centres[view], ray[view], precision[view], point, error)
-        for n in range(LANES):
-            doubt[n] = doubt[n] or error[n] > doubtful * count[n]
-    for n in range(LANES):
-        doubt[n] = doubt[n] and count[n] > 2
+        rows[view] = -1
+        if seen[view, n] > 0:
+            rows[view] = count
+            precision[count] = seen[view, n]
+            for k in range(3):
+                centre[count, k] = centres[view, k]
+                ray[count, k] = world[view, k, n]
+            count += 1
+    return count
 
 
-@kernel("f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8, f8[:,::1], b1[::1]")
+@kernel(
+    "f8[:,::1], f8[:,:,::1], f8[:,::1], i8[:,::1], i8, f8[::1], f8[::1], f8[::1], f8[::1], "
+    "f8[:,::1]"
+)
 def intersect_rays(
     centres: Floats,
     world: Floats,
     seen: Floats,
+    pairs: Ints,
+    first: int,
     steps: Floats,
-    doubtful: float,
+    tightening: Floats,
+    polish: Floats,
+    limits: Floats,
     points: Floats,
-    doubts: Bools,
 ) -> None:
-    """Set points `[3, N]` nearest to rays, and which have rays that do not all meet there.
+    """Set points `[3, N]` nearest to rays, NaN where fewer than two are seen.
 
-    centres `[view, 3]`, world `[view, 3, N]` and seen `[view, N]`: as of `intersection._Rays`.
-    steps: scales of the loss at each step. doubtful: INTERSECT_DOUBTFUL. doubts: `[N]`.
+    centres: `[view, 3]`. world: `[view, 3, N]` unit rays. seen: `[view, N]` inverse variances of
+    angles, 0 = not seen. pairs: `[pair, 2]` that give candidates, the first so many in any case.
+    steps, tightening, polish: scales of the loss at each step; where not all rays meet; and after
+    the best pair was found. limits: (4,) INTERSECT_DOUBTFUL, _OUTLIER, _AGREEING_RAYS, _SHARE.
     """
-    views = len(centres)
-    rays, precision = np.empty((views, 3, LANES)), np.empty((views, LANES))
-    weight, sums, total = np.empty((views, LANES)), np.empty((9, LANES)), np.empty(LANES)
-    count, doubt = np.empty(LANES, dtype=np.int64), np.empty(LANES, dtype=np.bool_)
-    place = np.empty((3, LANES))
-    for start in range(0, points.shape[1], LANES):
-        _take_lanes(start, world, seen, rays, precision, count)
-        _intersect_lanes(centres, rays, precision, steps, weight, total, sums, place)
-        _find_doubtful(centres, rays, precision, count, doubtful, place, total, doubt)
-        for n in range(min(LANES, points.shape[1] - start)):
-            doubts[start + n] = doubt[n]
-            for k in range(3):
-                points[k, start + n] = place[k, n] if count[n] > 1 else np.nan
+    views, doubtful, outlier = len(centres), limits[0], limits[1]
+    rows, centre, ray = np.empty(views, dtype=np.int64), np.empty((views, 3)), np.empty((views, 3))
+    precision, weight, matrix, side = np.empty(views), np.empty(views), np.empty(6), np.empty(3)
+    point, found, every = np.empty(3), np.empty(3), np.arange(views)
+    for n in range(points.shape[1]):
+        count = _gather(n, centres, world, seen, rows, centre, ray, precision)
+        points[:, n] = np.nan
+        if count < 2:
+            continue
+        _intersect_lines(every[:count], centre, ray, precision, matrix, side, point)
+        _refine(count, centre, ray, precision, steps, weight, matrix, side, point)
+        most = doubtful * count
+        if count > 2 and _count_meeting(count, centre, ray, precision, point, most) < count:
+            _refine(count, centre, ray, precision, tightening, weight, matrix, side, point)
+            meeting = _count_meeting(count, centre, ray, precision, point, outlier)
+            if not (meeting >= limits[2] and meeting >= limits[3] * count):
+                _search_pairs(
+                    rows, pairs, first, count, centre, ray, precision, outlier, found, point
+                )
+                _refine(count, centre, ray, precision, polish, weight, matrix, side, point)
+        points[:, n] = point
