@@ -3,12 +3,15 @@
 A kernel is a function of loops over numbers, and the only definition of what it computes; the tests
 hold it to plain numpy (`tests/oracles`). It is compiled for the types of its signature alone, when
 its module is imported for the first time on a machine, and kept in `__pycache__` beside the module,
-or in the folder that NUMBA_CACHE_DIR names. Kernels set arrays in place, without Python's lock.
-Sums stay in the order in which they are written: results do not depend on the machine.
+or in the folder that NUMBA_CACHE_DIR names (empty it after a change of a file in `SHARED`). Kernels
+set arrays in place, without Python's lock. Sums stay in the order in which they are written, so that
+results do not depend on the machine.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
@@ -16,7 +19,23 @@ import numba
 Function = TypeVar("Function", bound=Callable[..., Any])
 Result = TypeVar("Result")
 
+SHARED = ("algebra", "jit", "lens")  # files of functions that kernels of other files call
 _compile: Any = partial(numba.njit, nogil=True, error_model="numpy")
+
+
+def drop_stale_code(folder: Path) -> None:
+    """Delete the machine code of kernels in a folder that is older than what they share.
+
+    numba looks at the file of a kernel alone, not at those of the functions that it calls.
+    """
+    newest = max((folder / f"{name}.py").stat().st_mtime for name in SHARED)
+    for index in (folder / "__pycache__").glob("*.nbi"):
+        with suppress(OSError):  # another process was first, or the folder is not ours
+            if index.stat().st_mtime < newest:
+                index.unlink()
+
+
+drop_stale_code(Path(__file__).parent)
 
 
 def kernel(*types: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from mocap_calib.kernels import jit
 from mocap_calib.kernels.loading import contiguous
 
 KERNEL = """
@@ -54,6 +55,20 @@ def test_a_kernel_runs_where_no_folder_can_be_written(folder):
     home = str(folder / "home")
     kept = {"HOME": home, "XDG_CACHE_HOME": home, "PYTHONDONTWRITEBYTECODE": "1"}
     assert run(folder, **kept) == "0.0 2.0 4.0 0"
+
+
+def test_machine_code_that_is_older_than_what_kernels_share_is_dropped(folder):
+    run(folder)
+    (index,) = (folder / "__pycache__").glob("*.nbi")
+    for name in jit.SHARED:
+        (folder / f"{name}.py").touch()
+        os.utime(folder / f"{name}.py", (0, 0))
+    jit.drop_stale_code(folder)
+    assert index.exists()
+    os.utime(folder / "lens.py")
+    os.utime(index, (0, 0))
+    jit.drop_stale_code(folder)
+    assert not index.exists()
 
 
 def test_arrays_for_kernels_are_in_c_order_and_can_be_written():
