@@ -3,8 +3,8 @@
 A kernel is a function of loops over numbers, and the only definition of what it computes; the tests
 hold it to plain numpy (`tests/oracles`). It is compiled for the types of its signature alone, when
 its module is imported for the first time on a machine, and kept in `__pycache__` beside the module,
-or in the folder that NUMBA_CACHE_DIR names (empty it after a change of a file in `SHARED`). Kernels
-set arrays in place, without Python's lock. Sums stay in the order in which they are written, so that
+or in the folder that NUMBA_CACHE_DIR names (empty it when a file in `SHARED` changes). Kernels
+set arrays in place, without Python's lock. Sums stay in the order in which they are written, and
 results do not depend on the machine.
 """
 

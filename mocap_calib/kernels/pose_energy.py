@@ -279,7 +279,7 @@ def _square_row(
         found[t] = (x * x + y * y + z * z) / (depth * depth)
 
 
-@kernel(_ROWS, floats(4), _ROWS, _TABLE, _SET)
+@kernel("f8[:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1]")
 def square_angles(
     points: Floats, rays: Floats, precision: Floats, centres: Floats, found: Floats
 ) -> None:
