@@ -6,7 +6,7 @@ vectorised.
 
 import numpy as np
 
-from mocap_calib.kernels.jit import FLOAT, INT, bools, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Bools, Floats
 
 
@@ -55,15 +55,8 @@ def _mean_fit(
 
 
 @kernel(
-    floats(3),
-    floats(4),
-    floats(4),
-    floats(3),
-    floats(3),
-    floats(3),
-    FLOAT,
-    INT,
-    changed_floats(4),
+    "f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8, i8, "
+    "f8[:,:,:,::1]"
 )
 def fit_hypotheses(
     matrices: Floats,
@@ -120,14 +113,8 @@ def _is_in_front(rotation: Floats, translation: Floats, ray_a: Floats, ray_b: Fl
 
 
 @kernel(
-    floats(3),
-    floats(2),
-    floats(4),
-    floats(4),
-    floats(3),
-    floats(3),
-    bools(4),
-    changed_floats(1),
+    "f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], "
+    "b1[:,:,:,::1], f8[::1]"
 )
 def share_in_front(
     rotation: Floats,

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.jit import changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
 LANES = 64  # rays of a block: loops of a fixed length over arrays in the cache are vectorised
@@ -174,10 +174,7 @@ def _add_bodies(cross: Floats, inertia: float, rotation: Floats, system: Floats)
         system[i, 6] += turned[k, j] - turned[j, k]
 
 
-@kernel(
-    *(changed_floats(3), changed_floats(2)),
-    *(floats(4), floats(3), floats(1), floats(1)),
-)
+@kernel("f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[::1], f8[::1]")
 def refine(
     rotations: Floats,
     directions: Floats,
