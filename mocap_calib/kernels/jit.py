@@ -55,34 +55,3 @@ def kernel(*types: str) -> Callable[[Callable[..., Result]], Callable[..., Resul
 def inlined(function: Function) -> Function:
     """Compile a function with each kernel that calls it."""
     return cast(Function, _compile()(function))
-
-
-FLOAT, INT, SINGLE, BOOL = "f8", "i8", "f4", "b1"
-
-
-def floats(dimensions: int) -> str:
-    """Return the type of an array of 64-bit floats in C order."""
-    return _array("f8", dimensions)
-
-
-def ints(dimensions: int) -> str:
-    """Return the type of an array of 64-bit integers in C order."""
-    return _array("i8", dimensions)
-
-
-def singles(dimensions: int) -> str:
-    """Return the type of an array of 32-bit floats in C order."""
-    return _array("f4", dimensions)
-
-
-def bools(dimensions: int) -> str:
-    """Return the type of an array of booleans in C order."""
-    return _array("b1", dimensions)
-
-
-def _array(number: str, dimensions: int) -> str:
-    """Return the type of an array in C order."""
-    return f"{number}[{':,' * (dimensions - 1)}::1]"
-
-
-changed_floats, changed_ints, changed_singles, changed_bools = floats, ints, singles, bools
