@@ -34,7 +34,7 @@ def adjust_by_ceres(
     Takes, keeps and raises what `refine.adjust_once` does. All detections count the
     same.
     """
-    problem = choose_problem(sample, rig, matches, config)
+    problem = choose_problem(sample, rig, matches, config, all_detections=not already_close)
     model = _build_model(problem)
     if not already_close:
         for wider in wider_scales(config.adjust, problem.loss_scale):

@@ -54,7 +54,7 @@ def adjust_once(
     The loss is tightened in steps. already_close: the rig has been adjusted before, so that only
     the last step is needed.
     """
-    problem = choose_problem(sample, rig, matches, config)
+    problem = choose_problem(sample, rig, matches, config, all_detections=not already_close)
     found = solve(
         problem.start(),
         problem.rays,
