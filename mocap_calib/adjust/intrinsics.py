@@ -265,7 +265,7 @@ def _overconfidence(covariance: Covariance, free: Parameters, config: Intrinsics
     """
     own = free.intrinsics
     variance = np.diag(covariance.independent)[own]
-    scatter = np.diag(covariance.whole)[own] / variance**2
+    scatter = np.diag(covariance.cautious)[own] / variance**2
     curvature = 1 / variance - _prior(free)
     return np.clip(scatter / np.maximum(curvature, 1e-12), 1.0, config.most_overconfidence)
 
@@ -280,7 +280,7 @@ def _sigma(covariance: Covariance, free: Parameters, overconfidence: Floats) -> 
     own = free.intrinsics
     prior = np.zeros(len(covariance.independent))
     prior[own] = _prior(free) * overconfidence
-    whole = covariance.whole + (covariance.independent * prior) @ covariance.independent
+    whole = covariance.cautious + (covariance.independent * prior) @ covariance.independent
     return np.sqrt(np.diag(whole)[own])
 
 

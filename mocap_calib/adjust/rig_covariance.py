@@ -146,12 +146,12 @@ def _covariance_and_held_out(
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:
-    """Return the covariance of first order, and that of independent errors.
+    """Return the covariance of first order with a margin, and that of independent errors.
 
     The second is too small, but has the shape that the images give it.
     """
     found = first_order(fitted, config)
-    return _of_poses(found.whole, fitted.rig), _of_poses(found.independent, fitted.rig)
+    return _of_poses(found.cautious, fitted.rig), _of_poses(found.independent, fitted.rig)
 
 
 def first_order(fitted: FittedRig, config: Config) -> Covariance:

@@ -260,7 +260,7 @@ def _estimate(
         joint=points.keypoint,
         scale=last_scale,
     )
-    sigma = np.sqrt(freedom.by_view[:, -1] @ np.diag(covariance.whole))
+    sigma = np.sqrt(freedom.by_view[:, -1] @ np.diag(covariance.cautious))
     return _Estimate(rig=adjusted, tau=tau, sigma=sigma)
 
 

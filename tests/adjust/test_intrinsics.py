@@ -117,7 +117,7 @@ def certain_of(repeats: float, *, own: float) -> tuple[Covariance, Parameters]:
     prior = np.diag([*[0.0] * 6, 0.5**-2])
     bread = np.linalg.inv(curvature + prior)
     sandwich = bread @ (repeats * curvature) @ bread
-    return Covariance(bread, by_time=sandwich, by_joint=sandwich, once=0.5), freedom
+    return Covariance(bread, by_time=sandwich, by_joint=0 * sandwich, once=1.0), freedom
 
 
 def test_detections_that_come_many_times_count_once():
