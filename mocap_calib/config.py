@@ -823,11 +823,11 @@ class FloorConfig:
         stand (of three who sit the plane is 4 to 6 deg off); cell: the side of a place.
     straight: share of its length that a leg which stands has (walkers 0.97, who sits 0.7);
     least_standing: share of bodies who stand, for their axis to count as that of standing ones.
-    stand_sigma, crouch_sigma, animal_sigma: of the bodies' axis in radians. Measured: 0.9 to 3.9
-        deg, 14 deg of who sits; 3 to 15 deg of animals.
+    stand_sigma, crouch_sigma: of the axis in radians, of people on straight legs and of all other
+        bodies. Measured: 0.9 to 3.9 deg; 14 deg of people who sit, 3 to 15 deg of animals.
     up_sigma: of each of two directions, in radians, that stays however much was seen.
     least_feet, least_seen: bodies, and share of the bodies, with feet (0.2 where feet are hidden,
-        0.6 and more else). most_points: that are looked at.
+        0.6 and more else).
     least_share: of feet that are within reach. most_spread: of their heights (up to 0.05 on floors;
         0.08 and more of simulated rats that rear, 0.13 of a cheetah on a slope). most_lean: of the
         bodies. most_up_sigma: for a floor.
@@ -847,12 +847,9 @@ class FloorConfig:
     least_standing: float = 0.2
     stand_sigma: float = 0.06
     crouch_sigma: float = 0.25
-    animal_sigma: float = 0.25
-    animals: tuple[str, ...] = ("quadruped", "rodent")
     up_sigma: float = 0.01
     least_feet: int = 10
     least_seen: float = 0.3
-    most_points: int = 4000
     least_share: float = 0.7
     most_spread: float = 0.07
     most_lean: float = 0.35

@@ -164,8 +164,6 @@ def _lowest_feet(poses: Poses3D, joints: Joints, config: FloorConfig) -> _Lowest
         return f"feet were seen of {seen.sum()} of the {bodies} bodies looked at"
     axis, sigma = _body_axis(poses, joints, above - middle, config)
     frame, individual = np.nonzero(seen)
-    chosen = np.linspace(0, len(frame) - 1, min(len(frame), config.most_points)).astype(np.int64)
-    frame, individual = frame[chosen], individual[chosen]
     each = positions[frame, individual][:, feet]
     height = np.where(np.isfinite(each[..., 0]), each @ axis, np.inf)
     which = height.argmin(-1)
@@ -201,8 +199,6 @@ def _body_axis(
         seen = np.isfinite(rise[..., 0])
         if (straight & seen).sum() >= config.least_standing * seen.sum():
             rise, sigma = np.where(straight[..., None], rise, np.nan), config.stand_sigma
-    elif joints.kind in config.animals:
-        sigma = config.animal_sigma
     directions = rise[np.isfinite(rise[..., 0])]
     directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     middle = directions.mean(0)
