@@ -36,8 +36,6 @@ class SampleConfig:
     usual_share: float = 0.9  # of the frames have no more than the usual number
     crowd: int = 2  # so many times the usual number, and so many more
     cells: int = 6  # of the image, along each side
-    sizes: int = 8  # classes of size, which is nearness, by half powers of two
-    postures: int = 16  # classes of posture in each view
 
 
 # what is done about clocks that differ: found and mended, found and said, or not looked at

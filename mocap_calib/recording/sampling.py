@@ -75,9 +75,8 @@ def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     """Return the indices `[frame]` of the frames that calibration looks at, ascending.
 
     They are all frames that are not overcrowded, or as many as the budget allows: each the one
-    that adds most to what the others show, which are places in each image, sizes of bodies (near
-    and far), postures, and what pairs of views see together. What has been seen often counts less
-    and less.
+    that adds most to what the others show, which are places in each image and pairs of views that
+    see somebody together. What has been shown often counts less and less.
 
     Frames with several times the usual number of detections are left out: all arrays would be as
     large as theirs, and most of what they show is false.
@@ -88,7 +87,7 @@ def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     budget = _frame_budget(candidate_recording, config)
     if len(uncrowded) <= budget:
         return uncrowded
-    taken = _choose_varied(_shown_features(candidate_recording, config), budget)
+    taken = _choose_covering(_shown_features(candidate_recording, config), budget)
     return candidates[taken]
 
 
@@ -107,7 +106,7 @@ def _frame_budget(recording: Recording, config: SampleConfig) -> int:
     return int(np.clip(wanted, config.least_frames, config.frames))
 
 
-def _choose_varied(shown: Floats, count: int) -> Bools:
+def _choose_covering(shown: Floats, count: int) -> Bools:
     """Return `[frame]` which of the frames are taken, one by one by what they add.
 
     shown: `[frame, feature]` 1 where a frame shows a feature.
@@ -128,8 +127,8 @@ def _choose_varied(shown: Floats, count: int) -> Bools:
 def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
     """Return `[frame, feature]` 1 where a frame shows a feature, else 0.
 
-    Features are the classes of the detections of each view, and the pairs of views that see
-    somebody together.
+    Features are the cells of each image in which there are detections, and the pairs of views that
+    see somebody together.
     """
     detected = recording.detected
     features: list[Bools] = []
@@ -137,11 +136,9 @@ def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
         frame, instance = np.nonzero(detected[view])
         if len(frame):
             poses = recording.positions[view, frame, instance].astype(np.float64)
-            size = np.array(camera.size)
-            for classes, class_of in _classify_poses(poses, size, config):
-                shown = np.zeros((len(recording.frames), classes), dtype=bool)
-                shown[frame, class_of] = True
-                features.append(shown)
+            shown = np.zeros((len(recording.frames), config.cells**2), dtype=bool)
+            shown[frame, _cells_of_poses(poses, np.array(camera.size), config.cells)] = True
+            features.append(shown)
     sees: Bools = np.asarray(detected.any(-1))  # [view, frame]
     for a, b in combinations(range(len(sees)), 2):
         together: Bools = sees[a] & sees[b]
@@ -149,50 +146,13 @@ def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
     return np.concatenate(features, axis=1).astype(np.float64)
 
 
-def _classify_poses(poses: Floats, size: Ints, config: SampleConfig) -> list[tuple[int, Ints]]:
-    """Return the number of classes, and the class `[N]` of each pose: by place, size and posture.
+def _cells_of_poses(poses: Floats, size: Ints, cells: int) -> Ints:
+    """Return the cell `[N]` of a grid over the image in which the centroid of each pose is.
 
     poses: `[N, keypoint, 2]` pixels of one view, NaN = missing. size: `[2]` of the image, 0 where
-    it is not known.
+    it is not known. cells: along each side.
     """
-    seen = np.isfinite(poses)
-    count = np.maximum(seen.sum(1, keepdims=True), 1)
-    centroid = np.where(seen, poses, 0.0).sum(1, keepdims=True) / count
-    offset = np.where(seen, poses - centroid, 0.0)
-    radius = np.sqrt((offset**2).sum((1, 2)) / count[:, 0, 0])
-    shape = (offset / np.maximum(radius, 1e-9)[:, None, None]).reshape(len(poses), -1)
-
+    centroid = np.nanmean(poses, axis=1)
     largest = np.maximum(np.nanmax(poses, axis=(0, 1)), 1.0)
-    image_size = np.where(size > 0, size, largest)
-    return [
-        _classify_places(centroid[:, 0], image_size, config.cells),
-        _classify_sizes(radius, config.sizes),
-        _classify_postures(shape, config.postures),
-    ]
-
-
-def _classify_places(points: Floats, image_size: Floats, cells: int) -> tuple[int, Ints]:
-    """Return the number of cells of a grid over the image, and the cell `[N]` of each point.
-
-    points: `[N, 2]` pixels. image_size: `[2]`.
-    """
-    cell = (cells * points / image_size).clip(0, cells - 1).astype(int)
-    return cells * cells, cell[:, 0] * cells + cell[:, 1]
-
-
-def _classify_sizes(radius: Floats, classes: int) -> tuple[int, Ints]:
-    """Return the number of classes, and the class `[N]` of radii `[N]`, by half powers of two."""
-    median = max(float(np.median(radius)), 1e-9)
-    half_powers = np.log2(np.maximum(radius, 1e-9) / median) * 2
-    return classes, (half_powers + classes / 2).clip(0, classes - 1).astype(int)
-
-
-def _classify_postures(shape: Floats, classes: int) -> tuple[int, Ints]:
-    """Return the number of typical postures, and the nearest `[N]` of each pose.
-
-    shape: `[N, coordinate]` poses of equal place and size, of which some are the typical ones.
-    """
-    typical = shape[evenly_spaced(np.arange(len(shape)), classes)]
-    # squared distances, less the square of the shape itself, which is the same for all
-    distance = (typical**2).sum(1) - 2 * shape @ typical.T
-    return len(typical), distance.argmin(1)
+    cell = (cells * centroid / np.where(size > 0, size, largest)).clip(0, cells - 1).astype(int)
+    return np.asarray(cell[:, 0] * cells + cell[:, 1])
