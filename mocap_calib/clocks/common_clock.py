@@ -11,8 +11,7 @@ from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.loading import AUTO, choose_model
 from mocap_calib.lift.remembered import RememberedLift
 from mocap_calib.recording.retiming import clocks_of_rates, retime
-from mocap_calib.recording.sampling import take_sample
-from mocap_calib.recording.stretches import choose_stretches
+from mocap_calib.recording.sampling import choose_stretches, take_sample
 from mocap_calib.training.device import on_device
 from mocap_calib.types import Clocks, Progress, Recording, silent
 

@@ -13,7 +13,7 @@ import numpy as np
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.reprojection import project
-from mocap_calib.recording.stretches import usual_step
+from mocap_calib.recording.sampling import usual_step
 from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording

@@ -7,7 +7,7 @@ import numpy as np
 
 from mocap_calib.clocks.evidence import is_decisive
 from mocap_calib.config import SyncConfig
-from mocap_calib.recording.stretches import usual_step
+from mocap_calib.recording.sampling import usual_step
 from mocap_calib.types import Bools, CameraClock, ClockKind, Ints, Recording
 
 

@@ -20,8 +20,7 @@ from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
 from mocap_calib.adjust.solve import minimise, optimise_points
 from mocap_calib.clocks.in_step import held_out_error
 from mocap_calib.config import Config, SubframeConfig
-from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.recording.stretches import usual_step
+from mocap_calib.recording.sampling import evenly_spaced, usual_step
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.tracks import Tracks, labelled_frames
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording, TimeOffsets

@@ -7,7 +7,7 @@ import numpy as np
 from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import pack, small_ints
 from mocap_calib.html_report.source import Seen
-from mocap_calib.recording.stretches import usual_step
+from mocap_calib.recording.sampling import usual_step
 from mocap_calib.types import Ints
 
 _CONFIG = ReportConfig()

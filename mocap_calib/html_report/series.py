@@ -12,7 +12,7 @@ from mocap_calib.html_report.source import ReportSource
 from mocap_calib.kinematics.definitions import define
 from mocap_calib.kinematics.motion import frame_velocity, mean_known
 from mocap_calib.recording.joints import choose_skeleton
-from mocap_calib.recording.stretches import usual_step
+from mocap_calib.recording.sampling import usual_step
 from mocap_calib.types import Floats, Ints, Poses3D
 
 _CONFIG = ReportConfig()

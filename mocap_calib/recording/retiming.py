@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mocap_calib.recording.corrections import find_view
-from mocap_calib.recording.stretches import usual_step
+from mocap_calib.recording.sampling import usual_step
 from mocap_calib.types import NO_FRAME, CameraClock, CameraRig, Clocks, Ints, Recording
 
 

@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.config import SampleConfig
+from mocap_calib.config import SampleConfig, SyncConfig
 from mocap_calib.geometry import lens
 from mocap_calib.types import Bools, Camera, Floats, Ints, Reals, Recording, Sample
 
@@ -100,10 +100,14 @@ def _uncrowded_frames(recording: Recording, config: SampleConfig) -> Ints:
 
 def _frame_budget(recording: Recording, config: SampleConfig) -> int:
     """Return how many frames have as many detections in all views as calibration looks at."""
-    frames = len(recording.frames)
-    detections = recording.detected.sum() / frames  # in a frame
-    wanted = config.detections / max(detections, 1.0)
+    wanted = _frames_with(recording, config.detections)
     return int(np.clip(wanted, config.least_frames, config.frames))
+
+
+def _frames_with(recording: Recording, detections: int) -> float:
+    """Return how many frames have so many detections in all views together, on average."""
+    in_frame = recording.detected.sum() / max(len(recording.frames), 1)
+    return float(detections / max(in_frame, 1.0))
 
 
 def _choose_covering(shown: Floats, count: int) -> Bools:
@@ -156,3 +160,37 @@ def _cells_of_poses(poses: Floats, size: Ints, cells: int) -> Ints:
     largest = np.maximum(np.nanmax(poses, axis=(0, 1)), 1.0)
     cell = (cells * centroid / np.where(size > 0, size, largest)).clip(0, cells - 1).astype(int)
     return np.asarray(cell[:, 0] * cells + cell[:, 1])
+
+
+# --- stretches of consecutive frames, in which clocks are compared
+
+
+def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
+    """Return the frames `[stretch, frame]` (indices, -1 = not in the recording) of stretches.
+
+    Within a stretch, frames follow each other by the usual distance of frame numbers. A short
+    recording is one stretch; of a long one there are several, which begin with its first frame and
+    are spread over it, each several windows long, and no more in all than the configuration says.
+    """
+    frames = recording.frames
+    step = usual_step(frames)
+    first = frames.min()  # frames may come in any order
+    position = np.round((frames - first) / step).astype(np.int64)
+    on_grid = first + position * step == frames
+    length = int(position.max()) + 1
+    some = recording.select(frames=np.arange(0, len(frames), max(1, len(frames) // 200)))
+    budget = int(min(config.frames, _frames_with(some, config.detections)))
+    each = max(int(config.stretch_windows * config.window), 1)
+    count = max(1, budget // each)
+    if length <= max(budget, each):
+        starts, each = np.zeros(1, dtype=np.int64), length
+    else:
+        starts = np.unique(np.linspace(0, max(length - each, 0), count).astype(np.int64))
+    index = np.full(length, -1, dtype=np.int64)
+    index[position[on_grid]] = np.flatnonzero(on_grid)
+    return index[starts[:, None] + np.arange(min(each, length))]
+
+
+def usual_step(frames: Ints) -> int:
+    """Return by how much frame numbers `[frame]` go up mostly: these frames follow each other."""
+    return max(1, int(np.median(np.diff(frames)))) if len(frames) > 1 else 1

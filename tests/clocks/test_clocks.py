@@ -13,8 +13,7 @@ from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
 from mocap_calib.clocks.in_step import bring_in_step, held_out_error
 from mocap_calib.clocks.time_offsets import find_time_offsets
 from mocap_calib.config import Config
-from mocap_calib.recording.sampling import take_sample
-from mocap_calib.recording.stretches import usual_step
+from mocap_calib.recording.sampling import take_sample, usual_step
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.synthetic import Scene, simulate

@@ -18,7 +18,7 @@ from mocap_calib.recording.retiming import (
     own_frames,
     retime,
 )
-from mocap_calib.recording.stretches import choose_stretches
+from mocap_calib.recording.sampling import choose_stretches
 from mocap_calib.types import NO_FRAME, CameraClock, Clocks
 
 
