@@ -196,15 +196,15 @@ class ViewGraphConfig:
     axes: of the shapes; alike: share of the usual squared distance at which two are alike.
 
     The first graph, of each camera:
-    nearest: partners that see most in common with it; spread: further ones, evenly spread over
-        those with at least the share `likely` of what the best sees in common.
+    partners: that see most in common with it; and as many more, evenly spread over those with at
+        least the share `likely` of what the best sees in common.
 
     Where the graph grows:
     least_confirmed_share: share of the pairs that close triangles; with a smaller one all pairs are
         calibrated. Measured in the first graph: 0.84 to 1 in halls and rings, at most 0.5 in a hall
         of 63 cameras where partners are drawn at random.
-    least_confirmed: such pairs of a camera; least_bridges: between two parts.
-    grown: further partners in the first round, twice as many in each that follows; rounds: at most.
+    least_confirmed: such pairs of a camera, and further partners where it has fewer, twice as many
+        in each round that follows; least_bridges: between two parts. rounds: at most.
     """
 
     pairs: PairChoice = "chosen"
@@ -213,13 +213,11 @@ class ViewGraphConfig:
     shifts: int = 4
     axes: int = 12
     alike: float = 0.05
-    nearest: int = 5
-    spread: int = 5
+    partners: int = 5
     likely: float = 0.4
     least_confirmed_share: float = 0.6
     least_confirmed: int = 4
     least_bridges: int = 6
-    grown: int = 4
     rounds: int = 3
 
 
@@ -235,16 +233,13 @@ class AveragingConfig:
         translation as a share of the pair's baseline.
     loop_doubt: a hypothesis that all its triangles contradict keeps this share of its score
         squared, against one that they confirm.
-    closed_triangle: 0..1, a triangle closes from this on: to within both scales.
     contradicted_share: two groups that are certain without each other are joined by no strong pair
-        that closes less of its triangles, of at least `contradicting_triangles`; and by no other
+        that closes less of its triangles, of at least `enough_triangles`; and by no other
         where all pairs between them together close less. Measured in a hall of 64 cameras: right
         pairs between two groups close 0.5 and more, wrong ones up to 0.2.
     lost_share: a camera is lost where the share of its triangles that close is less than this part
-        of the median share of all cameras. It needs `lost_triangles` triangles at least. In four
-        halls 25 cameras are lost, 17 of them with less than 0.2; the others have 0.51 and more.
-    few_cameras: of no more than so many none is lost: there a camera that contradicts the others
-        stays, so that its fault can be found and named.
+        of the median share of all cameras, of at least `enough_triangles`. In four halls 25 cameras
+        are lost, 17 of them with less than 0.2; the others have 0.51 and more.
     iterations: of reweighting, and of passing messages between the pairs of triangles.
     """
 
@@ -254,98 +249,57 @@ class AveragingConfig:
     rotation_scale_deg: float = 4.0
     translation_scale: float = 0.15
     loop_doubt: float = 0.1
-    closed_triangle: float = 0.5
     contradicted_share: float = 0.25
-    contradicting_triangles: int = 5
+    enough_triangles: int = 5
     lost_share: float = 0.5
-    lost_triangles: int = 3
-    few_cameras: int = SMALL_RIG
     iterations: int = 30
 
 
 @dataclass(frozen=True)
 class MatchingConfig:
-    """Who is who: in a frame, through time, and in the end.
+    """Identities: in a frame, and through the whole recording.
 
-    In a frame:
     least_affinity: 0..1, the mean affinity down to which two groups of detections are joined.
-    geometry_alone_share: where so large a share of the frames shows each view no more than one
-        detection, there is one subject, whom geometry alone follows.
-    factorization_share: where so large a share does, the rigs that factorization finds for one
-        subject are tried too, if no body could be lifted.
+    factorization_share: where so large a share of the frames shows each view no more than one
+        detection, the rigs that factorization finds for one subject are tried too, if no body could
+        be lifted.
 
-    Through time:
-    largest_step: body sizes that a body may move between frames; or `usual_steps` times its usual
-        step, if that is more.
-    memory: frames after which the distance that a body may have gone does not grow any more.
-
-    In the end:
-    fleeting_frames, fleeting_share: an individual is nobody if it is followed through no more
-        frames than this, and through no larger share of them, and `sure_views` views do not see it
-        in more frames either. Where bodies cannot be followed, it is nobody if it is seen in no
-        more frames, unless `sure_views` views of one frame agree on it.
-
-    Tracklets of one view:
-    tracklet_step: how far a pose may move from a frame to the next and still be followed, as a
-        share of its extent in the image.
-    tracklet_joints: joints that two detections need in common to be compared.
-
-    Who is who through the recording; evidence is in nats, see `identities.evidence`:
-    individuals: how many there are at most; None = nobody knows.
+    individuals: how many there are at most; None = not known.
+    memory: frames; the longest gap that motion says something of.
     sparse_step: bodies cannot be followed that go so far between frames, as a share of their
-        distance from each other; `memory` is the longest gap that motion tells something of.
-    sure_step: how unlikely a step may be that is followed without looking at what else there is.
-    sure_link: by how much a body's place in the next frame is likelier than any other.
+        distance from each other.
+    decisive: evidence in nats that leaves no doubt: how much likelier a group's place in the next
+        frame must be than any other, how unlikely it may be itself, and what each frame in which
+        both are seen counts against two pieces of tracks being one individual.
+    false_share: of the shorter one's frames, in which two pieces may be seen together and one be a
+        false group.
+    strangers: evidence against it with which two that are never seen together are still one, for a
+        recording has as few individuals as it needs.
     most_pieces: that are joined at once; parts of longer recordings are joined by themselves.
-    least_evidence: samples that a scale, and frames that a bone's spread is measured on.
-    bone_memory: after so many frames a body errs in another way.
-    bone_doubt: how much of the spread of a bone's length no number of frames takes away.
-    least_spread: of the logarithm of a length.
-    followed: evidence of a view that follows a detection from one piece to the other.
-    false_frame: that two are not one, for a frame in which both are seen; false_share: of the
-        shorter one's frames, in which one may be a false group.
-    strangers: evidence against it with which two are still one that are never seen together, for
-        a recording has as few individuals as it needs.
+    fleeting_frames, fleeting_share: an individual is unassigned if it is followed through no more
+        frames than this, and through no larger share of them, and `sure_views` views do not see it
+        in more frames either.
     """
 
     least_affinity: float = 0.25
-    geometry_alone_share: float = 0.9
     factorization_share: float = 0.5
-    largest_step: float = 0.5
-    usual_steps: float = 5.0
-    memory: int = 50
-    fleeting_frames: int = 10
-    fleeting_share: float = 0.05
-    sure_views: int = 3
-    tracklet_step: float = 0.3
-    tracklet_joints: int = 3
     individuals: int | None = None
+    memory: int = 50
     # Medians of steps over those of distances apart: .01 to .06 in video of people and dogs, .35 in
     # 81 frames of two mice, which can be followed, and .61 in pictures of a ward, which cannot
     sparse_step: float = 0.5
-    # 4 to 7 nats all keep who is known in real recordings. Whether the man who leaves shelf's view
-    # and the one who comes 30 frames later are one is undecided: one with 5 and 7, two with 6.
-    # Without a limit two rats who vanish by turns exchange names (IDF1 .82; with it .99).
-    sure_step: float = 6.0
-    sure_link: float = 4.0
-    most_pieces: int = 500
-    least_evidence: int = 5
-    bone_memory: int = 10
-    # 0.3 takes what one man's pieces differ by for differences between men; with 1 all recordings
-    # keep their names, and two mice are told apart in every frame
-    bone_doubt: float = 1.0
-    least_spread: float = 0.005
-    followed: float = 3.0
-    false_frame: float = 3.0
+    decisive: float = 6.0
     false_share: float = 0.1
-    strangers: float = 10.0
+    strangers: float = 12.0
+    most_pieces: int = 500
+    fleeting_frames: int = 10
+    fleeting_share: float = 0.05
+    sure_views: int = 3
 
+    def fleeting(self, frames: int) -> int:
+        """Return in how many of so many frames false detections may meet by chance."""
+        return min(self.fleeting_frames, int(self.fleeting_share * frames))
 
-# the scale of a rig follows from so many pairs of views, from so many frames of each, and from the
-# matches there that fit the epipolar geometry so well (0..1)
-SCALE_PAIRS = 80
-SCALE_FRAMES = 40
-SCALE_LEAST_FIT = 0.7
 
 # factorization: views and points that it needs
 FACTORIZATION_VIEWS = 3

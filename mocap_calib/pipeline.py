@@ -26,7 +26,7 @@ from mocap_calib.config import Config, Refinement
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.clock_faults import add_clocks
 from mocap_calib.faults.mend import mend_faults
-from mocap_calib.identities.finalise import finalise_identities
+from mocap_calib.identities.track import finalise_identities
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.loading import AUTO, choose_model
@@ -37,12 +37,13 @@ from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.rig.association import associate, label_all_frames
+from mocap_calib.rig.associate import associate, label_all_frames
 from mocap_calib.rig.averaging import average
+from mocap_calib.rig.graph import camera_groups
+from mocap_calib.rig.large_rigs import calibrate_view_graph
+from mocap_calib.rig.loops import select_hypotheses
 from mocap_calib.rig.observed import Observed, leave_out_underconstrained
-from mocap_calib.rig.pair_choice import calibrate_view_graph
 from mocap_calib.rig.triangulate import check_same_cameras
-from mocap_calib.rig.view_graph import camera_groups, select_hypotheses
 from mocap_calib.training.device import on_device
 from mocap_calib.types import (
     CalibrationResult,
@@ -234,8 +235,6 @@ def match(
             config,
             sample_frames=sample_frames,
             matches=associate(sample, lifted, rig, config, progress=progress),
-            sample=sample,
-            lifted=lifted,
             progress=progress,
         )
         return finalise_identities(recording, rig, matches, config)
@@ -285,8 +284,6 @@ def _calibrate_cameras(
             config,
             sample_frames=observed.sample_frames,
             matches=adjusted.matches,
-            sample=sample,
-            lifted=lifted,
             progress=progress,
         )
         matches = finalise_identities(recording, adjusted.rig, matches, config)

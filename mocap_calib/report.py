@@ -20,7 +20,8 @@ from mocap_calib.report_verdict import (
     describe_verdict,
     finite_or_none,
 )
-from mocap_calib.rig.view_graph import alternative_taken, best_scores
+from mocap_calib.rig.graph import best_scores
+from mocap_calib.rig.loops import alternative_taken
 from mocap_calib.types import (
     POINT_SOURCES,
     Bools,

@@ -24,7 +24,7 @@ from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.rig.association import associate
+from mocap_calib.rig.associate import associate
 from mocap_calib.types import silent
 
 SCENES = [

@@ -5,10 +5,10 @@ from functools import partial
 from mocap_calib.adjust.intrinsics import estimate_intrinsics, not_estimated
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.rig.association import associate
+from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import average
+from mocap_calib.rig.graph import camera_groups
 from mocap_calib.rig.observed import Observed, leave_out_underconstrained
-from mocap_calib.rig.view_graph import camera_groups
 from mocap_calib.types import EstimatedCamera, Progress
 
 

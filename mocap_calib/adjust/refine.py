@@ -13,7 +13,7 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.rig.association import associate, have_same_groups, label_single_subject
+from mocap_calib.rig.associate import associate, have_same_groups, label_single_subject
 from mocap_calib.rig.factorization import factorise
 from mocap_calib.types import (
     Adjusted,

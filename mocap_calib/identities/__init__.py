@@ -1,1 +1,1 @@
-"""Identities through time: tracklets and their joining."""
+"""Identities through time: pieces of tracks and their joining."""

@@ -29,14 +29,14 @@ def motion_evidence(
     other has ended.
     """
     evidence = np.zeros((len(among), len(among)))
-    apart = usual_distance_apart(points, config)
+    apart = usual_distance_apart(points)
     first, last = pieces.first[among], pieces.last[among]
     gap = frames[first[:, 0]] - frames[last[:, 0]][:, None]
     earlier, later = np.nonzero((gap > 0) & (gap <= config.memory))
     if not np.isfinite(apart) or not len(earlier):
         return evidence
     gaps = gap[earlier, later]
-    course = _distances_on_course(points, frames, pieces, (last[earlier], first[later]), config)
+    course = _distances_on_course(points, frames, pieces, (last[earlier], first[later]))
     lags, scales = _usual_distances(points, frames, pieces, config)
     at = np.clip(np.searchsorted(lags, gaps), 0, len(lags) - 1)
     distance = course[np.arange(len(gaps)), scales.argmin(1)[at]]
@@ -74,10 +74,10 @@ def _pieces_between(first: Ints, last: Ints, pairs: tuple[Ints, Ints]) -> Ints:
     return np.maximum(ended - begun, 0)
 
 
-def usual_distance_apart(points: Floats, config: MatchingConfig) -> float:
+def usual_distance_apart(points: Floats) -> float:
     """Return the median distance between groups of one frame; NaN where there is one at most."""
     sampled = mapped.take(points, evenly_spaced(np.arange(len(points)), _SAMPLE))
-    distance = rms_distance(sampled[:, :, None], sampled[:, None], config.tracklet_joints)
+    distance = rms_distance(sampled[:, :, None], sampled[:, None])
     first, second = np.triu_indices(points.shape[1], 1)
     found = distance[:, first, second]
     found = found[np.isfinite(found)]
@@ -98,10 +98,10 @@ def _usual_distances(
         same = (number[:-lag, :, None] == number[lag:, None]) & (number[:-lag, :, None] >= 0)
         start, i, j = np.nonzero(same)
         chosen = evenly_spaced(np.arange(len(start)), _SAMPLE)
-        if lag > 1 and (lag > config.memory or len(chosen) < config.least_evidence):
+        if lag > 1 and (lag > config.memory or not len(chosen)):
             break
         ends = np.stack([start, i], -1)[chosen], np.stack([start + lag, j], -1)[chosen]
-        distance = _distances_on_course(points, frames, pieces, ends, config)
+        distance = _distances_on_course(points, frames, pieces, ends)
         finite = distance[np.isfinite(distance).all(-1)]
         scales.append(np.median(finite, axis=0) if len(finite) else np.full(2, np.inf))
         lags.append(lag)
@@ -114,7 +114,6 @@ def _distances_on_course(
     frames: Ints,
     pieces: Pieces,
     ends: tuple[Ints, Ints],
-    config: MatchingConfig,
 ) -> Floats:
     """Return `[pair, 2]` how far two groups are from being one body that stands or moves on.
 
@@ -129,7 +128,7 @@ def _distances_on_course(
     )
     start, end = points[tuple(earlier.T)], points[tuple(later.T)]
     moved = start + (velocity * elapsed)[:, None]
-    distances = [rms_distance(body, end, config.tracklet_joints) for body in (start, moved)]
+    distances = [rms_distance(body, end) for body in (start, moved)]
     return np.stack(distances, axis=-1)
 
 
@@ -148,35 +147,3 @@ def _velocities(points: Floats, frames: Ints, way: Ints, at: Ints) -> Floats:
     elapsed = frames[at[:, 0]] - frames[index]
     moved = np.nan_to_num(mean_of_known(points[tuple(at.T)] - points[index, group], axis=-2))
     return np.where(elapsed[:, None] != 0, moved / np.where(elapsed, elapsed, 1)[:, None], 0.0)
-
-
-def image_links(tracks: Ints, groups: Ints, pieces: Pieces) -> tuple[Ints, Ints]:
-    """Return the pieces `[link]`, `[link]` from and to which a view follows a body.
-
-    tracks: `[view, frame, instance]` of `all_tracklets`. groups: labels within each frame, -1 =
-    nobody. A tracklet of one view tells of pieces also where no second view sees the body in
-    between.
-    """
-    numbers = np.append(pieces.number, np.full((len(pieces.number), 1), -1), axis=1)
-    frames = np.arange(len(numbers))[:, None]
-    links = []
-    for track, labels in zip(tracks, groups, strict=True):
-        piece = numbers[frames, labels]
-        known = np.nonzero((track >= 0) & (piece >= 0))
-        order = np.lexsort((known[0], track[known]))
-        number, piece = track[known][order], piece[known][order]
-        onward = (number[1:] == number[:-1]) & (piece[1:] != piece[:-1])
-        links.append((piece[:-1][onward], piece[1:][onward]))
-    return np.concatenate([a for a, _ in links]), np.concatenate([b for _, b in links])
-
-
-def image_evidence(links: tuple[Ints, Ints], among: Ints, config: MatchingConfig) -> Floats:
-    """Return `[N, N]` the evidence of `image_links` between pieces, symmetric.
-
-    among: `[N]` the pieces, ascending.
-    """
-    evidence = np.zeros((len(among), len(among)))
-    known = np.isin(links[0], among) & np.isin(links[1], among) & (links[0] != links[1])
-    from_piece, to_piece = (np.searchsorted(among, ends[known]) for ends in links)
-    np.add.at(evidence, (from_piece, to_piece), config.followed)
-    return evidence + evidence.T

@@ -11,7 +11,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import do_in_threads
-from mocap_calib.config import MatchingConfig
+from mocap_calib.config import LEAST_JOINTS, MatchingConfig
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints
@@ -62,16 +62,16 @@ class Pieces:
         return self.last[:, 0] - self.first[:, 0] + 1
 
 
-def rms_distance(a: Floats, b: Floats, least_joints: int) -> Floats:
+def rms_distance(a: Floats, b: Floats) -> Floats:
     """Return the RMS distance `[...]` of the joints that two bodies `[..., joint, 3]` both have.
 
-    Infinite where these are fewer than `least_joints`.
+    Infinite where these are too few.
     """
     squares = ((a - b) ** 2).sum(-1)
     common = np.isfinite(squares)
     joints = common.sum(-1)
     total = np.where(common, squares, 0.0).sum(-1)
-    return np.where(joints >= least_joints, np.sqrt(total / np.maximum(joints, 1)), np.inf)
+    return np.where(joints >= LEAST_JOINTS, np.sqrt(total / np.maximum(joints, 1)), np.inf)
 
 
 def surprise(distance: Floats, scale: Floats | float) -> Floats:
@@ -82,7 +82,7 @@ def surprise(distance: Floats, scale: Floats | float) -> Floats:
     return 3 * np.log1p((distance / scale) ** 2 / 3)
 
 
-def step_distances(points: Floats, moved: Floats, config: MatchingConfig) -> Floats:
+def step_distances(points: Floats, moved: Floats) -> Floats:
     """Return how far each group is from each of the next frame, `[frame - 1, group, group]`.
 
     points: `[frame, group, joint, 3]`. moved: `[frame, group, 3]` what each is expected to move by
@@ -94,7 +94,7 @@ def step_distances(points: Floats, moved: Floats, config: MatchingConfig) -> Flo
     def measure(block: slice) -> None:
         later = points[block.start + 1 : block.stop + 1]
         expected = points[block] + moved[block, :, None]
-        distance[block] = rms_distance(expected[:, :, None], later[:, None], config.tracklet_joints)
+        distance[block] = rms_distance(expected[:, :, None], later[:, None])
 
     do_in_threads(measure, mapped.frame_slices(frames - 1, _FRAMES))
     return distance
@@ -121,9 +121,9 @@ def cut_into_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> Pie
     )
     still = np.zeros((*points.shape[:2], 3))
     next_to = _follows(frames)[:, None, None]
-    distance = np.where(next_to, step_distances(points, still, config), np.inf)
+    distance = np.where(next_to, step_distances(points, still), np.inf)
     moved = _last_moves(points, _nearest_both_ways(distance))
-    going_on = np.where(next_to, step_distances(points, moved, config), np.inf)
+    going_on = np.where(next_to, step_distances(points, moved), np.inf)
     if usual_step(going_on) < usual_step(distance):
         distance = going_on
     links = _certain_links(distance, config)
@@ -161,17 +161,17 @@ def _certain_links(distance: Floats, config: MatchingConfig) -> Bools:
     """Return the pairs of groups that are one individual beyond doubt.
 
     Each other's nearest, as near as bodies usually are, of which all others are by
-    `config.sure_link` nats less likely: who vanishes may have appeared near another who does.
+    `config.decisive` nats less likely: who vanishes may have appeared near another who does.
     """
     links: Bools = _nearest_both_ways(distance)
     if not links.any():
         return links
     cost = surprise(distance, max(float(np.median(distance[links])), np.finfo(float).tiny))
-    links = np.asarray(links & (cost <= config.sure_step))
+    links = np.asarray(links & (cost <= config.decisive))
     for axis in (-1, -2):
         rivals = np.where(links, np.inf, cost).min(axis, keepdims=True)
         with np.errstate(invalid="ignore"):
-            links = np.asarray(links & (rivals - cost >= config.sure_link))
+            links = np.asarray(links & (rivals - cost >= config.decisive))
     return links
 
 

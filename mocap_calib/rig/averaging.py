@@ -44,7 +44,7 @@ def average(
 ) -> Averaged:
     """Return the rig that agrees best with all pairs.
 
-    The pairs must connect all cameras (see `view_graph.camera_groups`). The first camera is the
+    The pairs must connect all cameras (see `graph.camera_groups`). The first camera is the
     world; lengths are in body sizes. The errors and weights are `[pair]`, in the order of `pairs`.
     """
     edges = _Edges(

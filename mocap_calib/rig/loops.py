@@ -1,10 +1,18 @@
-"""Loops of three pairs of cameras: around a triangle rotations and baselines must close."""
+"""Loops of three pairs of cameras: around a triangle rotations and baselines must close.
+
+Two views alone may leave several relative poses: bodies are nearly flat and nearly symmetric,
+cameras that face each other see the same outline, identities may be exchanged. A third camera
+decides. The belief in each hypothesis of a pair follows from its score and from how well its
+triangles close, given the belief in the hypotheses of the other two pairs, by message passing
+(Zach, Klopschitz and Pollefeys 2010 infer wrong relations in the same way; here the alternatives
+are known).
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.config import AveragingConfig
+from mocap_calib.config import SMALL_RIG, AveragingConfig
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.types import Bools, Floats, Ints, PairwiseCalibration
 
@@ -21,6 +29,34 @@ class PairHypotheses:
     rotation: Floats
     translation: Floats
     prior: Floats
+
+
+def select_hypotheses(
+    pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
+) -> tuple[PairwiseCalibration, ...]:
+    """Return each pair with the hypothesis that its score and its loops make most probable.
+
+    The other hypotheses become its alternatives. One whose score is below `config.least_score` is
+    not taken in place of one above.
+    """
+    triangles = list_triangles(pairs)
+    if len(triangles) == 0 or not any(pair.alternatives for pair in pairs):
+        return pairs
+    hypotheses = stack_hypotheses(pairs, config.least_score)
+    closure = closure_of(hypotheses, triangles, config)
+    belief = hypotheses.prior
+    for _ in range(config.iterations):
+        agreement = _agreement_of_triangles(belief, closure, triangles)
+        posterior = hypotheses.prior * (config.loop_doubt + agreement)
+        posterior = posterior / posterior.sum(1, keepdims=True)
+        belief = (belief + posterior) / 2  # halfway, so that beliefs do not oscillate
+    most_probable = belief.argmax(1).tolist()
+    return tuple(map(_take_hypothesis, pairs, most_probable))
+
+
+def alternative_taken(pair: PairwiseCalibration) -> bool:
+    """Return whether the loops overruled the score of the pair itself."""
+    return any(alternative.score > pair.score for alternative in pair.alternatives)
 
 
 def pairs_in_closed_triangles(
@@ -53,11 +89,12 @@ def find_lost_cameras(
     would join groups that do not belong together. The closing share of a camera is the share of
     its triangles that close. The camera with the smallest share is lost, then the shares are
     counted again without it, and so on, until all cameras that are left have at least
-    `config.lost_share` of their median share. Of few cameras none is lost.
+    `config.lost_share` of their median share. Of few cameras none is lost: there a camera
+    that contradicts the others stays, so that its fault can be found and named.
     """
     lost = np.zeros(cameras, dtype=bool)
     triangles, closes = _judge_triangles(pairs, config)
-    if cameras <= config.few_cameras or len(triangles) == 0:
+    if cameras <= SMALL_RIG or len(triangles) == 0:
         return lost
     views = np.sort([(pair.a, pair.b) for pair in pairs], axis=1)
     corners = np.column_stack([views[triangles[:, 0]], views[triangles[:, 1], 1]])
@@ -65,7 +102,7 @@ def find_lost_cameras(
         there = ~lost[corners].any(1)
         looked_at = np.bincount(corners[there].ravel(), minlength=cameras)
         closed = np.bincount(corners[there & closes].ravel(), minlength=cameras)
-        enough = looked_at >= config.lost_triangles
+        enough = looked_at >= config.enough_triangles
         share = np.where(enough, closed / np.maximum(looked_at, 1), 1.0)
         least = share.argmin()
         usual = np.median(share[enough]) if enough.any() else 0.0
@@ -85,7 +122,7 @@ def _judge_triangles(
     triangles = triangles[usable[triangles].all(1)]
     answers = stack_hypotheses(tuple(replace(pair, alternatives=()) for pair in pairs), 0.0)
     closure = closure_of(answers, triangles, config)[:, 0, 0, 0]
-    return triangles, closure >= config.closed_triangle
+    return triangles, closure >= 0.5  # half the weight: within both scales
 
 
 def list_triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:
@@ -163,3 +200,31 @@ def closure_of(hypotheses: PairHypotheses, triangles: Ints, config: AveragingCon
 def _outer_sum(first: Floats, second: Floats, third: Floats) -> Floats:
     """Return `[triangle, i, j, k]` sums of `[triangle, i]`, `[triangle, j]`, `[triangle, k]`."""
     return first[:, :, None, None] + second[:, None, :, None] + third[:, None, None]
+
+
+def _take_hypothesis(pair: PairwiseCalibration, answer: int) -> PairwiseCalibration:
+    """Return the pair with one hypothesis (index) as its answer, the others as alternatives."""
+    hypotheses = pair.hypotheses
+    others = [replace(h, alternatives=()) for k, h in enumerate(hypotheses) if k != answer]
+    others.sort(key=lambda hypothesis: -hypothesis.score)
+    return replace(hypotheses[answer], alternatives=tuple(others))
+
+
+def _agreement_of_triangles(belief: Floats, closure: Floats, triangles: Ints) -> Floats:
+    """Return how well the triangles of a pair close, expected over what is believed of the others.
+
+    belief: `[pair, hypothesis]`; closure: `[triangle, hypothesis, hypothesis, hypothesis]`.
+    Returns `[pair, hypothesis]` in 0..1, the mean over the triangles of each pair.
+    """
+    ab, bc, ac = (belief[pair] for pair in triangles.T)
+    expected = (
+        np.einsum("tijk,tj,tk->ti", closure, bc, ac, optimize=True),
+        np.einsum("tijk,ti,tk->tj", closure, ab, ac, optimize=True),
+        np.einsum("tijk,ti,tj->tk", closure, ab, bc, optimize=True),
+    )
+    total = np.zeros_like(belief)
+    count = np.zeros(len(belief))
+    for pair, agreement in zip(triangles.T, expected, strict=True):
+        np.add.at(total, pair, agreement)
+        np.add.at(count, pair, 1.0)
+    return total / np.maximum(count, 1.0)[:, None]

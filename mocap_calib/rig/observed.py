@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from mocap_calib.errors import UnderconstrainedCameraError
-from mocap_calib.rig.view_graph import pairs_among
+from mocap_calib.rig.graph import pairs_among
 from mocap_calib.types import Ints, LiftedPoses, PairwiseCalibration, Recording, Sample
 
 T = TypeVar("T")

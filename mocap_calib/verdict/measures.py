@@ -12,9 +12,9 @@ from mocap_calib.geometry import lens
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.homography import plane_errors
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.rig.graph import best_scores
 from mocap_calib.rig.labels import matched_share
 from mocap_calib.rig.tracks import labelled_frames
-from mocap_calib.rig.view_graph import best_scores
 from mocap_calib.types import Floats, GroupResult
 from mocap_calib.verdict.explained import Leftover
 

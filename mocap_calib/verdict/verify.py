@@ -22,7 +22,7 @@ from mocap_calib.lift.remembered import RememberedLift
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.rig.association import associate
+from mocap_calib.rig.associate import associate
 from mocap_calib.rig.labels import matched_share
 from mocap_calib.rig.placed import PlacedCameras
 from mocap_calib.rig.triangulate import check_same_cameras

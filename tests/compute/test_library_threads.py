@@ -12,7 +12,7 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.pairs import solve
 from mocap_calib.poses import stage
-from mocap_calib.rig import association
+from mocap_calib.rig import associate
 from mocap_calib.rig import triangulate as triangulation
 from mocap_calib.types import silent
 
@@ -44,7 +44,7 @@ def pairs():
 
 
 def match():
-    association.associate(recording(), lifted(), scene().rig, Config(), progress=silent)
+    associate.associate(recording(), lifted(), scene().rig, Config(), progress=silent)
 
 
 def adjust():
@@ -61,7 +61,7 @@ def smooth():
 
 STAGES = [  # a call, and a step of it, in its module
     (pairs, solve, "pair_mapper"),
-    (match, association, "_body_scale"),
+    (match, associate, "_measure_pose_ratio"),
     (adjust, refine, "choose_problem"),
     (triangulate, triangulation, "view_noise"),
     (smooth, stage, "view_noise"),

@@ -1,7 +1,6 @@
 """Who is who through a recording: bodies that meet, vanish and come back, with truth."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,13 +8,11 @@ from scenes import PEOPLE, scene
 
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.geometry.reprojection import project
-from mocap_calib.identities import finalise as identities
-from mocap_calib.identities import joining
+from mocap_calib.identities.bones import BoneLengths, measure_bones
 from mocap_calib.identities.evidence import motion_evidence
-from mocap_calib.identities.finalise import finalise_identities
-from mocap_calib.identities.joining import join_pieces
+from mocap_calib.identities.join import join_pieces
 from mocap_calib.identities.pieces import cut_into_pieces
-from mocap_calib.identities.proportions import Proportions, measure_proportions
+from mocap_calib.identities.track import finalise_identities
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Matches
 
@@ -111,6 +108,18 @@ def test_twins_who_come_back_get_no_new_names():
     assert set(names[seen]) == {0, 1}
 
 
+def test_who_comes_from_outside_is_not_the_one_who_left():
+    """All are alike. Two are always there, a third comes and leaves; 50 frames later one comes."""
+    places = np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
+    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen[:30, 2] = seen[60:110, 2] = False
+    names = name_walkers(places, [a_body(), a_body(), a_body()], seen)
+    first, second = set(names[30:60, 2]), set(names[110:, 2])
+    assert len(first) == len(second) == 1
+    assert first != second
+    assert set(names[:, :2].ravel()) == {0, 1}
+
+
 def test_no_more_individuals_than_are_known_to_be_there():
     """A third one is seen in 40 frames: two are asked for, and the two seen longest are named."""
     places = np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
@@ -183,61 +192,10 @@ def test_pieces_are_joined_by_all_evidence_together(seed):
     same = truth[:, None] == truth
     pairs = np.where(same, 1.0, -1.0) + 1.5 * rng.normal(size=same.shape)
     pairs = np.triu(pairs, 1) + np.triu(pairs, 1).T
-    nothing = Proportions(np.zeros((pieces, 0)), np.zeros((pieces, 0)), np.zeros(0))
+    nothing = BoneLengths(np.zeros((pieces, 0)), np.zeros((pieces, 0)), np.zeros(0))
     first = 10 * np.arange(pieces)
     found = join_pieces(first, first + 8, pairs, nothing, MatchingConfig())
     np.testing.assert_array_equal(found[:, None] == found, same)
-
-
-def evidence_of(pairs: np.ndarray, first: np.ndarray, last: np.ndarray) -> joining._Evidence:
-    """Return evidence of pairs of pieces alone, `[piece, piece]`, whose bodies say nothing."""
-    nothing = np.zeros((len(first), 0))
-    together = joining._frames_together(first, last)
-    bodies = Proportions(nothing, nothing.copy(), np.zeros(0))
-    return joining._Evidence(pairs, bodies, together, last - first + 1)
-
-
-def test_pieces_are_joined_before_any_is_exchanged():
-    """The likeliest first: forty pieces of two bodies, every pair of which tells the truth."""
-    truth = np.random.default_rng(0).integers(2, size=40)
-    same = truth[:, None] == truth
-    first = 10 * np.arange(40)
-    evidence = evidence_of(np.where(same, 1.0, -1.0), first, first + 8)
-    found = joining._agglomerate(evidence, MatchingConfig())
-    np.testing.assert_array_equal(found[:, None] == found, same)
-
-
-def test_a_piece_that_was_joined_too_early_goes_where_all_evidence_says():
-    """Two in the same frames, three times, and one more, likeliest of the first piece of the first.
-
-    All its evidence together is 2.2 for the second individual.
-    """
-    first = np.array([0, 0, 10, 10, 20, 20, 30])
-    pairs = np.where(np.arange(7)[:, None] % 2 == np.arange(7) % 2, 4.0, -10.0)
-    pairs[6, :6] = pairs[:6, 6] = [5.0, 0.4, -3.0, 0.4, -3.0, 0.4]
-    np.fill_diagonal(pairs, 0.0)
-    nothing = Proportions(np.zeros((7, 0)), np.zeros((7, 0)), np.zeros(0))
-    found = join_pieces(first, first + 8, pairs, nothing, MatchingConfig())
-    assert found.tolist() == [0, 1, 0, 1, 0, 1, 1]
-
-
-def test_pieces_that_one_view_follows_are_joined(monkeypatch):
-    """Two begin after two others have ended, and a view has followed each of them."""
-    ends = np.zeros((4, 2), dtype=np.int64)
-    pieces = SimpleNamespace(
-        count=4, first=ends + [[0], [0], [50], [50]], last=ends + [[40], [40], [90], [90]]
-    )
-    nothing = Proportions(np.zeros((4, 0)), np.zeros((4, 0)), np.zeros(0))
-    monkeypatch.setattr(identities, "measure_proportions", lambda *_: nothing)
-    monkeypatch.setattr(identities, "motion_evidence", lambda *_: np.zeros((4, 4)))
-    for one, other in ((2, 3), (3, 2)):
-        links = np.array([0, 1]), np.array([one, other])
-        monkeypatch.setattr(identities, "image_links", lambda *_, links=links: links)
-        found = identities._join_pieces(
-            None, None, pieces, MatchingConfig(), groups=None, tracks=None
-        )
-        assert found[0] == found[one] != found[1]
-        assert found[1] == found[other]
 
 
 def two_walkers_with_a_gap() -> np.ndarray:
@@ -258,7 +216,7 @@ def test_bodies_are_measured_in_their_pieces():
     """The lengths of all pieces are those of their bodies: measured 3 %."""
     points = two_walkers_with_a_gap()
     pieces = cut_into_pieces(points, np.arange(80), MatchingConfig())
-    found = measure_proportions(points, pieces, MatchingConfig())
+    found = measure_bones(points, pieces)
     (small, large), again = pieces.number[10], pieces.number[60]
     assert found.mean.shape[1] == JOINTS - 1
     np.testing.assert_allclose(found.mean[large] - found.mean[small], np.log(1.3), atol=0.06)

@@ -10,7 +10,7 @@ from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix
 from mocap_calib.pairs.affinity import body_agreement, nearest_reading, pose_error
 from mocap_calib.pairs.solve import calibrate_pair, pair_problem
 from mocap_calib.pairs.view_pair import are_flat, gather_view_pair
-from mocap_calib.rig.association import associate
+from mocap_calib.rig.associate import associate
 from mocap_calib.types import LiftedPoses, PairwiseCalibration, Sample, silent
 
 VIEWS, FRAMES = (0, 1), np.arange(2)

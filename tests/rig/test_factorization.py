@@ -10,7 +10,7 @@ from mocap_calib.adjust.fit import measure_fit
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.rig.association import has_single_subject, label_single_subject
+from mocap_calib.rig.associate import label_single_subject
 from mocap_calib.rig.factorization import factorise
 from mocap_calib.types import Camera, CameraRig, Recording, Sample
 
@@ -90,7 +90,7 @@ def test_a_single_subject_is_known_without_finding():
     alone = label_single_subject(recording(**ALONE), FACTORIZATION_SHARE)
     assert alone is not None
     assert set(np.unique(alone.labels)) <= {-1, 0}
-    assert not has_single_subject(recording(), FACTORIZATION_SHARE)
+    assert label_single_subject(recording(), FACTORIZATION_SHARE) is None
     assert label_single_subject(recording(), FACTORIZATION_SHARE) is None
 
 

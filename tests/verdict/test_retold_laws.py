@@ -25,12 +25,12 @@ from scenes import (
 
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import Config, TriangulateConfig
-from mocap_calib.identities.finalise import finalise_identities
+from mocap_calib.identities.track import finalise_identities
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.loading import load_lifter
-from mocap_calib.rig.association import associate
+from mocap_calib.rig.associate import associate, have_same_groups
 from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.types import CameraRig, Uncertainty, silent
+from mocap_calib.types import CameraRig, Matches, Uncertainty, silent
 from mocap_calib.verdict.uncertainty import assess_uncertainty
 
 law = settings(max_examples=4, deadline=None, derandomize=True)
@@ -146,7 +146,7 @@ def test_matching_knows_no_order_time_or_world(how, seed):
     second = associate(found, bodies, place(rig), Config(), progress=silent)
     expected = retold(how, np.random.default_rng(seed), first.labels)
     assert first.individuals == 3
-    assert same_groups(second.labels, expected)
+    assert have_same_groups(second, Matches(expected))
 
 
 def test_points_of_the_mirror_image_are_the_mirror_image_of_points():

@@ -16,8 +16,8 @@ from mocap_calib.clocks.time_offsets import _are_usable, _choose_stretches
 from mocap_calib.config import Config, SubframeConfig, SyncConfig
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.identities.evidence import _pieces_between
+from mocap_calib.rig.graph import best_scores
 from mocap_calib.rig.labels import matched_share
-from mocap_calib.rig.view_graph import best_scores
 from mocap_calib.types import Camera, EstimatedCamera, Matches
 from mocap_calib.verdict.measures import clocks
 from mocap_calib.verdict.verdict import _left_open

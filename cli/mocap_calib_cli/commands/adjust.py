@@ -51,9 +51,9 @@ def command(
     """
     from mocap_calib.adjust.refine import adjust_until_stable, choose_adjuster
     from mocap_calib.config import Config
-    from mocap_calib.identities.finalise import finalise_identities
+    from mocap_calib.identities.track import finalise_identities
     from mocap_calib.io.results.matches_csv import matches_csv
-    from mocap_calib.rig.association import label_all_frames
+    from mocap_calib.rig.associate import label_all_frames
     from mocap_calib.verdict.conclusion import conclude_without_pairs
     from mocap_calib_cli import inputs, outputs, verdicts
     from mocap_calib_cli.progress import Reporter
@@ -84,8 +84,6 @@ def command(
                 config,
                 sample_frames=sample_frames,
                 matches=adjusted.matches,
-                sample=sample,
-                lifted=lifted,
                 progress=reporter,
             )
             matches = finalise_identities(recording, adjusted.rig, matches, config)

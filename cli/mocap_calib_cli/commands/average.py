@@ -25,7 +25,8 @@ def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.pairs_json import pairs_from_json
     from mocap_calib.rig.averaging import average
-    from mocap_calib.rig.view_graph import pairs_among, select_hypotheses, usable_cameras
+    from mocap_calib.rig.graph import pairs_among, usable_cameras
+    from mocap_calib.rig.loops import select_hypotheses
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.describe import describe_unused_cameras
     from mocap_calib_cli.progress import Reporter

@@ -1,21 +1,17 @@
 """Groups of detections and their labels: laws on random affinities, and scenes with truth."""
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 from scenes import lifted, precision, recording, scene
 
-from mocap_calib.config import Config, MatchingConfig, PairwiseConfig
-from mocap_calib.pairs.affinity import body_agreement
-from mocap_calib.pairs.view_pair import distances, gather_view_pair
-from mocap_calib.rig import association, linking
-from mocap_calib.rig.association import associate
-from mocap_calib.rig.body_affinity import ever_compared, temper_by_bodies
-from mocap_calib.rig.clustering import cluster_detections
+from mocap_calib.config import Config
+from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.rig import associate as association
+from mocap_calib.rig.associate import associate, cluster_detections
 from mocap_calib.rig.labels import per_frame_labels, replace_labels
-from mocap_calib.rig.linking import link_through_time
-from mocap_calib.types import Matches, silent
+from mocap_calib.rig.likelihood_ratio import measure_log_ratio
+from mocap_calib.types import LiftedPoses, Matches, silent
 
 VIEWS, INSTANCES = 4, 3
 DETECTIONS = VIEWS * INSTANCES
@@ -76,37 +72,6 @@ def test_a_group_never_holds_two_detections_of_a_view():
         assert ((groups == k).sum((1, 2)) != 1).all()
 
 
-def test_bodies_of_all_views_temper_as_those_of_each_pair_of_views():
-    """Also where one view lifted nothing at all, and another nothing in some frames."""
-    sample, rig, config = recording(), scene().rig, PairwiseConfig()
-    blind = lifted().body.copy()
-    blind[2], blind[3, :4] = np.nan, np.nan
-    bodies, frames, scale = replace(lifted(), body=blind), np.arange(10), 1.7
-    views, instances = len(rig.cameras), sample.positions.shape[2]
-    distance = distances(bodies.centre[:, frames], sample.rays[:, frames])
-    rng = np.random.default_rng(0)
-    affinity = rng.uniform(size=(len(frames), views * instances, views * instances))
-    found = temper_by_bodies(
-        affinity,
-        bodies,
-        rig,
-        frames,
-        distance=distance,
-        scale=scale,
-        compared=ever_compared(bodies),
-        config=config,
-    )
-    by_view = [each.reshape(-1, views, instances, views, instances) for each in (affinity, found)]
-    for a, b in combinations(range(views), 2):
-        rotation, translation = rig.relative(a, b)
-        pair = gather_view_pair(sample, bodies, (a, b), frames)
-        agreement = body_agreement(pair, rotation[None], scale * translation[None], config)[0]
-        unlifted = config.unlifted_affinity if pair.overlap.lifted.any() else 1.0
-        expected = np.where(pair.overlap.lifted > 0, np.sqrt(agreement), unlifted)
-        expected *= by_view[0][:, a, :, b]
-        np.testing.assert_allclose(by_view[1][:, a, :, b], expected, rtol=1e-9, atol=1e-12)
-
-
 def test_frames_are_grouped_independently():
     affinity, comparable = random_affinities(10)
     together = cluster(affinity, comparable)
@@ -136,44 +101,6 @@ def test_labels_within_frames_forget_the_names():
     np.testing.assert_array_equal(numbered.labels < 0, labels < 0)
 
 
-def test_groups_are_linked_by_where_they_stand():
-    """Two bodies 3 body sizes apart walk 0.1 a frame; their groups are exchanged at random."""
-    rng, frames = np.random.default_rng(0), 30
-    walk = 0.1 * np.arange(frames)[:, None]
-    places = np.zeros((frames, 2, 3))
-    places[..., 0] = walk + [0.0, 3.0]
-    group = np.stack([rng.permutation(2) for _ in range(frames)])  # of each body
-    shuffled = np.take_along_axis(places, np.argsort(group, axis=1)[..., None], axis=1)
-    labels = np.stack([group, group])
-    linked = link_through_time(labels, shuffled, np.arange(frames), MatchingConfig())
-    assert (linked == linked[:, :1]).all()
-    assert set(linked[0, 0]) == {0, 1}
-
-
-def test_groups_are_linked_in_a_slice_of_a_recording():
-    """Of whose frame numbers every second one is looked at, in place."""
-    numbers = recording().select(frames=slice(0, None, 2)).frames
-    labels = np.zeros((VIEWS, len(numbers), 1), dtype=np.int64)
-    places = np.zeros((len(numbers), 1, 3))
-    linked = link_through_time(labels, places, numbers, MatchingConfig())
-    np.testing.assert_array_equal(linked, labels)
-
-
-def test_easy_frames_are_linked_as_any_other(monkeypatch):
-    """Bodies that come, go, meet and jump, more of them than there is room for at first."""
-    rng, frames, groups = np.random.default_rng(0), 400, 5
-    places = rng.normal(size=(frames, groups, 3)).cumsum(0) * 0.2
-    places[rng.uniform(size=(frames, groups)) < 0.2] = np.nan
-    places[::7] += 40.0 * np.arange(len(places[::7]))[:, None, None]
-    labels = np.where(np.isfinite(places[None, ..., 0]), np.arange(groups), -1)
-    numbers = np.cumsum(rng.integers(1, 4, frames))
-    quick = link_through_time(labels, places, numbers, MatchingConfig())
-    monkeypatch.setattr(linking._Linking, "link_easy_frames", lambda _, start, __: start)
-    slow = link_through_time(labels, places, numbers, MatchingConfig())
-    np.testing.assert_array_equal(quick, slow)
-    assert slow.max() > 70
-
-
 def test_matching_with_the_true_rig_finds_everybody():
     made = scene()
     found = associate(recording(), lifted(), made.rig, Config(), progress=silent)
@@ -190,15 +117,6 @@ def test_a_label_is_given_once_a_view_and_frame():
         assert ((labels == k).sum((0, 2)) != 1).all()  # never in a single view
 
 
-def test_individuals_keep_their_label_through_time():
-    made = scene()
-    labels = associate(recording(), lifted(), made.rig, Config(), progress=silent).labels
-    for person in range(3):
-        own = labels[made.identity == person]
-        own = own[own >= 0]
-        assert (own == np.bincount(own).argmax()).mean() > 0.98
-
-
 def test_matching_does_not_depend_on_the_unit_of_the_rig():
     rig = scene().rig
     in_mm = replace(rig, translation=1000 * rig.translation, unit="mm")
@@ -206,3 +124,37 @@ def test_matching_does_not_depend_on_the_unit_of_the_rig():
         associate(recording(), lifted(), r, Config(), progress=silent) for r in (rig, in_mm)
     )
     np.testing.assert_array_equal(first.labels, second.labels)
+
+
+def turned_at_random(bodies: LiftedPoses) -> LiftedPoses:
+    """Return lifted bodies, each turned by another rotation: they say nothing of individuals."""
+    rng = np.random.default_rng(0)
+    turns = matrix_from_vector(rng.normal(size=(*bodies.body.shape[:3], 3)))
+    return replace(bodies, body=bodies.body @ turns)
+
+
+def test_lifted_bodies_weigh_what_they_prove():
+    """Bodies turned at random prove less; they do not keep detections of one individual apart."""
+    made, config = scene(), Config()
+    right = association._measure_pose_ratio(recording(), lifted(), made.rig, config.pairwise)
+    wrong = turned_at_random(lifted())
+    found = association._measure_pose_ratio(recording(), wrong, made.rig, config.pairwise)
+    assert right.slope[0] < -1.0
+    assert found is None or found.slope[0] > right.slope[0] / 2
+    labels = associate(recording(), wrong, made.rig, config, progress=silent).labels
+    assert precision(labels, made.identity) > 0.99
+    assert (labels[made.identity >= 0] >= 0).mean() > 0.95
+
+
+def test_a_ratio_is_that_of_the_densities():
+    """Normal classes one apart: the slope of the log-likelihood ratio is 1, and 0 in the middle."""
+    rng = np.random.default_rng(0)
+    label = rng.random(20_000) < 0.3
+    features = rng.normal(size=(20_000, 1)) + label[:, None]
+    ratio = measure_log_ratio(features, label.astype(float), 1.0 - label)
+    np.testing.assert_allclose(ratio(np.array([[0.5], [1.5]])), [0.0, 1.0], atol=0.1)
+    assert abs(ratio(np.array([[np.nan]]))[0]) < 1.0
+
+
+def test_without_examples_of_both_there_is_no_ratio():
+    assert measure_log_ratio(np.ones((5, 1)), np.ones(5), np.zeros(5)) is None

@@ -1,13 +1,6 @@
-"""Use loops of pairs: which hypothesis of each pair is right, and which cameras form a group.
+"""The graph of cameras that pairs connect: which cameras form a group that sees the same bodies.
 
-Two views alone may leave several relative poses: bodies are nearly flat and nearly symmetric,
-cameras that face each other see the same outline, who is who may be exchanged. A third camera
-tells them apart: around a triangle rotations and baselines must close. The belief in each
-hypothesis of a pair follows from its score and from how well its triangles close, given the
-belief in the hypotheses of the other two pairs, and so on. Zach, Klopschitz and Pollefeys 2010
-("Disambiguating visual relations using loop constraints") infer wrong relations from loops in
-the same way; here the alternatives are known.
-Groups of cameras that no such loop and no certain pair connects are not joined by guess.
+Groups of cameras that no loop and no certain pair connects are not joined by guess.
 """
 
 from dataclasses import replace
@@ -16,43 +9,8 @@ import numpy as np
 
 from mocap_calib.config import AveragingConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.rig.loops import (
-    closure_of,
-    count_triangles,
-    find_lost_cameras,
-    list_triangles,
-    pairs_in_closed_triangles,
-    stack_hypotheses,
-)
+from mocap_calib.rig.loops import count_triangles, find_lost_cameras, pairs_in_closed_triangles
 from mocap_calib.types import Camera, Floats, Ints, PairwiseCalibration
-
-
-def select_hypotheses(
-    pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
-) -> tuple[PairwiseCalibration, ...]:
-    """Return each pair with the hypothesis that its score and its loops make most probable.
-
-    The other hypotheses become its alternatives. One whose score is below `config.least_score` is
-    not taken in place of one above.
-    """
-    triangles = list_triangles(pairs)
-    if len(triangles) == 0 or not any(pair.alternatives for pair in pairs):
-        return pairs
-    hypotheses = stack_hypotheses(pairs, config.least_score)
-    closure = closure_of(hypotheses, triangles, config)
-    belief = hypotheses.prior
-    for _ in range(config.iterations):
-        agreement = _agreement_of_triangles(belief, closure, triangles)
-        posterior = hypotheses.prior * (config.loop_doubt + agreement)
-        posterior = posterior / posterior.sum(1, keepdims=True)
-        belief = (belief + posterior) / 2  # halfway, so that beliefs do not oscillate
-    most_probable = belief.argmax(1).tolist()
-    return tuple(map(_take_hypothesis, pairs, most_probable))
-
-
-def alternative_taken(pair: PairwiseCalibration) -> bool:
-    """Return whether the loops overruled the score of the pair itself."""
-    return any(alternative.score > pair.score for alternative in pair.alternatives)
 
 
 def best_scores(pairs: tuple[PairwiseCalibration, ...], views: int) -> Floats:
@@ -161,7 +119,7 @@ def _join_cameras(
     certain = np.zeros(cameras, dtype=bool)  # by number of the group
     views = np.array([(pair.a, pair.b) for pair in pairs], dtype=np.int64).reshape(-1, 2)
     closed, looked_at = count_triangles(pairs, config)
-    many = looked_at >= config.contradicting_triangles
+    many = looked_at >= config.enough_triangles
     contradicted = many & (closed < config.contradicted_share * looked_at)
     usable = [k for k, pair in enumerate(pairs) if pair.score >= config.least_score]
     for k in sorted(usable, key=lambda k: -pairs[k].score):
@@ -178,31 +136,3 @@ def _join_cameras(
             certain[first] |= certain[second] or strong
             group[group == second] = first
     return group
-
-
-def _take_hypothesis(pair: PairwiseCalibration, answer: int) -> PairwiseCalibration:
-    """Return the pair with one hypothesis (index) as its answer, the others as alternatives."""
-    hypotheses = pair.hypotheses
-    others = [replace(h, alternatives=()) for k, h in enumerate(hypotheses) if k != answer]
-    others.sort(key=lambda hypothesis: -hypothesis.score)
-    return replace(hypotheses[answer], alternatives=tuple(others))
-
-
-def _agreement_of_triangles(belief: Floats, closure: Floats, triangles: Ints) -> Floats:
-    """Return how well the triangles of a pair close, expected over what is believed of the others.
-
-    belief: `[pair, hypothesis]`; closure: `[triangle, hypothesis, hypothesis, hypothesis]`.
-    Returns `[pair, hypothesis]` in 0..1, the mean over the triangles of each pair.
-    """
-    ab, bc, ac = (belief[pair] for pair in triangles.T)
-    expected = (
-        np.einsum("tijk,tj,tk->ti", closure, bc, ac, optimize=True),
-        np.einsum("tijk,ti,tk->tj", closure, ab, ac, optimize=True),
-        np.einsum("tijk,ti,tj->tk", closure, ab, bc, optimize=True),
-    )
-    total = np.zeros_like(belief)
-    count = np.zeros(len(belief))
-    for pair, agreement in zip(triangles.T, expected, strict=True):
-        np.add.at(total, pair, agreement)
-        np.add.at(count, pair, 1.0)
-    return total / np.maximum(count, 1.0)[:, None]

@@ -1,9 +1,13 @@
-"""Choose which pairs of cameras are calibrated: all of a small rig, of a large one those that tell.
+"""Choose which pairs of cameras are calibrated: all of a small rig, some of a large one.
 
 Pairs grow as the square of the cameras, and say the same many times. The first graph joins each
-camera to those that see most in common with it (`covisibility`), to some that see less, from other
-sides, and to its neighbours by name. It is calibrated and judged, and grows where it is weak: where
-a camera has too few pairs that third cameras confirm, and where too few such pairs join two parts.
+camera to those that see most in common with it, to some that see less, from other sides, and to its
+neighbours by name. It is calibrated and judged, and grows where it is weak: where a camera has too
+few pairs that third cameras confirm, and where too few such pairs join two parts.
+
+What two views see in common is known before any pair is calibrated: distances within a lifted body
+do not depend on the camera. Views of the same bodies show similar postures in the same frames, and
+less similar ones in other frames.
 """
 
 from copy import deepcopy
@@ -14,9 +18,7 @@ from mocap_calib.config import AveragingConfig, Config, ViewGraphConfig
 from mocap_calib.geometry.graphs import connected_parts, fiedler_vector
 from mocap_calib.pairs.solve import PairSolver, all_pairs, calibrate_pairs
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig.covisibility import measure_covisibility
-from mocap_calib.rig.loops import pairs_in_closed_triangles
-from mocap_calib.rig.view_graph import select_hypotheses
+from mocap_calib.rig.loops import pairs_in_closed_triangles, select_hypotheses
 from mocap_calib.types import (
     Bools,
     Floats,
@@ -67,7 +69,7 @@ def calibrate_view_graph(
         if asked.sum() == len(all_pairs(views)) or number == graph.rounds:
             break
         confirmed = confirmed_pairs(calibrated, views, config.averaging)
-        partners = graph.grown * 2**number
+        partners = graph.least_confirmed * 2**number
         wanted = pairs_to_grow(confirmed, covisible, asked, partners=partners, config=graph)
         if not wanted:
             break
@@ -91,9 +93,9 @@ def first_pairs(covisible: Floats, config: ViewGraphConfig) -> list[tuple[int, i
     for a in range(views):
         ranked = _rank_partners(covisible[a], np.arange(views) != a)
         likely = covisible[a, ranked] >= config.likely * max(covisible[a, ranked[0]], 0.0)
-        nearest, others = np.split(ranked[likely], [config.nearest])
+        nearest, others = np.split(ranked[likely], [config.partners])
         joined[a, nearest] = True
-        joined[a, evenly_spaced(others, config.spread)] = True
+        joined[a, evenly_spaced(others, config.partners)] = True
     return _list_pairs(joined)
 
 
@@ -167,3 +169,63 @@ def _list_pairs(joined: Bools) -> list[tuple[int, int]]:
     """Return the pairs (a, b), a < b, of a matrix `[view, view]` with an entry in either half."""
     first, second = np.nonzero(np.triu(joined | joined.T, 1))
     return list(zip(first.tolist(), second.tolist(), strict=True))
+
+
+def measure_covisibility(lifted: LiftedPoses, config: ViewGraphConfig) -> Floats:
+    """Return by how much more alike the bodies of two views are in step than out of step.
+
+    `[view, view]`, symmetric, -1..1, about 0 where two views see nothing in common, or too little
+    was lifted to say.
+    """
+    views, count = lifted.centre.shape[:2]
+    frames = evenly_spaced(np.arange(count), config.frames)
+    seen: Bools = np.asarray(np.isfinite(lifted.body[:, frames]).all((-2, -1)))
+    if not seen.any():
+        return np.zeros((views, views))
+    shapes = _describe_shapes(lifted.body[:, frames], seen, config)
+    shifts = evenly_spaced(np.arange(len(frames)), config.shifts + 1)[1:]
+    in_step = _likeness(shapes, seen, shift=0)
+    out_of_step = [_likeness(shapes, seen, shift=int(shift)) for shift in shifts if shift > 0]
+    more = in_step - sum(out_of_step) / max(len(out_of_step), 1)
+    return np.asarray((more + more.T) / 2)
+
+
+def _describe_shapes(body: Floats, seen: Bools, config: ViewGraphConfig) -> Floats:
+    """Return what of bodies no rotation changes, `[view, frame, instance, axis]`; 0 = not lifted.
+
+    The principal axes of their Gram matrices, in units of their usual distance times the square
+    root of `config.alike`. body: `[view, frame, instance, joint, 3]`.
+    """
+    bodies = body[seen]
+    first, second = np.triu_indices(bodies.shape[1])
+    gram = (bodies @ np.swapaxes(bodies, 1, 2))[:, first, second]
+    gram *= np.where(first == second, 1.0, np.sqrt(2.0))  # distances are those of whole matrices
+    gram -= gram.mean(0)
+    axes = np.linalg.eigh(gram.T @ gram)[1][:, -config.axes :]
+    along = gram @ axes
+    usual = np.sqrt(2 * (along**2).sum(1).mean() * config.alike)
+    shapes = np.zeros((*seen.shape, along.shape[1]))
+    shapes[seen] = along / max(float(usual), 1e-12)
+    return shapes
+
+
+def _likeness(shapes: Floats, seen: Bools, *, shift: int) -> Floats:
+    """Return how alike the bodies of two views are, `[view, view]` in 0..1.
+
+    Each body counts with the most alike of the other view. The frames of the second view are
+    later by `shift`, going round.
+    """
+    views, frames, instances = seen.shape
+    total, count = np.zeros((views, views)), np.zeros((views, views))
+    for frame in range(frames):
+        other = (frame + shift) % frames
+        both = seen[:, frame].reshape(-1, 1) & seen[:, other].reshape(1, -1)
+        first, second = (shapes[:, k].reshape(views * instances, -1) for k in (frame, other))
+        apart = (first**2).sum(1)[:, None] + (second**2).sum(1) - 2 * first @ second.T
+        alike = np.where(both, np.exp(-np.maximum(apart, 0.0)), 0.0)
+        by_view = alike.reshape(views, instances, views, instances)
+        total += by_view.max(3).sum(1) + by_view.max(1).sum(2)
+        bodies_first, bodies_second = seen[:, frame].sum(1), seen[:, other].sum(1)
+        together = (bodies_first[:, None] > 0) & (bodies_second > 0)
+        count += np.where(together, bodies_first[:, None] + bodies_second, 0)
+    return total / np.maximum(count, 1)

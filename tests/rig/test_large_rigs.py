@@ -9,14 +9,14 @@ from scenes import lifted, recording, rotation_errors_deg, scene
 from mocap_calib.config import Config, ViewGraphConfig
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.rig.averaging import average
-from mocap_calib.rig.covisibility import measure_covisibility
-from mocap_calib.rig.pair_choice import (
+from mocap_calib.rig.large_rigs import (
     calibrate_view_graph,
     first_pairs,
+    measure_covisibility,
     pairs_to_grow,
     takes_all_pairs,
 )
-from mocap_calib.rig.view_graph import select_hypotheses
+from mocap_calib.rig.loops import select_hypotheses
 from mocap_calib.types import LiftedPoses, PairwiseCalibration, silent
 
 CONFIG = ViewGraphConfig()
@@ -36,7 +36,7 @@ def test_the_first_graph_connects_all_with_as_many_pairs_as_asked_for(views):
     assert not connected_parts(first, second, views).any()
     partners = np.bincount(np.concatenate([first, second]), minlength=views)
     assert partners.min() >= 2
-    assert len(pairs) <= (CONFIG.nearest + CONFIG.spread + 1) * views
+    assert len(pairs) <= (2 * CONFIG.partners + 1) * views
 
 
 def test_partners_are_those_that_see_something_in_common():
@@ -138,7 +138,7 @@ def test_chosen_pairs_make_the_rig_that_all_pairs_make():
     What is found of a pair does not depend on which others are asked for.
     """
     changes = {"cameras": 9, "people": 2, "frames": 40}
-    few = ViewGraphConfig(small_rig=5, nearest=2, spread=1, least_confirmed=2, least_bridges=2)
+    few = ViewGraphConfig(small_rig=5, partners=2, least_confirmed=2, least_bridges=2)
 
     def calibrate(**options) -> tuple[PairwiseCalibration, ...]:
         config = Config(view_graph=replace(few, **options))
