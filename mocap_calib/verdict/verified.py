@@ -67,8 +67,11 @@ def describe_rig(
             look.sample, placed, mended, focal=focal, change=change, config=config
         )
     }
+    # cameras that say nothing of each other say nothing of another one either
+    known = sum(camera.word != "not checked" for camera in checked.values()) >= 2
     cameras = tuple(
-        checked.get(name) or _describe_unchecked(name, has_detections(sample, view, config))
+        checked.get(name)
+        or _describe_unchecked(name, known and has_detections(sample, view, config))
         for view, name in enumerate(rig.names)
     )
     sigma = covariance.rotation_sigma
