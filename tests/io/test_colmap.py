@@ -13,7 +13,7 @@ from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.colmap import silent_colmap
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras.colmap import LENSES
+from mocap_calib.io.cameras.common import COLMAP_LENSES
 from mocap_calib.io.cameras.read import load_cameras, make_rig
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.conversion import convert_cameras
@@ -33,7 +33,7 @@ PARAMETERS = {
 POINTS = np.random.default_rng(0).uniform(-1, 1, (40, 3)) + [0, 0, 6]
 
 
-def their_model(lenses=tuple(LENSES)):
+def their_model(lenses=tuple(COLMAP_LENSES)):
     """A model that pycolmap made: an image for each lens, of every second point and of its own."""
     model = pycolmap.Reconstruction()
     tracks = [pycolmap.Track() for _ in POINTS]
@@ -101,8 +101,8 @@ def test_its_own_models_are_read_with_all_lenses_and_observations(kind, tmp_path
     (model.write_binary if kind == "binary" else model.write_text)(tmp_path)
     found = load_cameras(tmp_path)
     rig = make_rig(found, "x")
-    assert rig.names == tuple(LENSES) == tuple(PARAMETERS)
-    assert [camera.fisheye for camera in rig.cameras] == list(LENSES.values())
+    assert rig.names == tuple(COLMAP_LENSES) == tuple(PARAMETERS)
+    assert [camera.fisheye for camera in rig.cameras] == list(COLMAP_LENSES.values())
     points = found.points
     np.testing.assert_array_equal(points.positions, POINTS)
     assert np.bincount(points.view).tolist() == [20] * 9

@@ -39,14 +39,14 @@ SMALL = {"frames": 12}
 
 
 ALL = ("views", "instances", "names", "time", "mirror", "world")
-ADJUSTED = dict.fromkeys(ALL, 1e-14) | {"views": 1.4e-6, "world": 6e-14}
+ADJUSTED = dict.fromkeys(ALL, 1e-12) | {"views": 1e-4, "world": 1e-10}
 
 
 @pytest.mark.parametrize("how", ALL)
 @law
 @given(seed=SEEDS)
 def test_adjustment_knows_no_order_time_mirror_or_world(how, seed):
-    """Measured 1e-15, another world 6e-15. Another order of cameras 9e-7: another one is held."""
+    """Measured 3e-13, another world 2e-11. Another order of cameras 4e-5: another one is held."""
     rng = np.random.default_rng(seed)
     start = turn_cameras(scene(**SMALL).rig, 1.0, seed=int(rng.integers(100)))
     found, place, matches, views = told(how, rng, **SMALL)
@@ -64,8 +64,8 @@ def assessed(frames: int) -> tuple[CameraRig, Uncertainty]:
     return rig, assess_uncertainty(given[0], rig, *given[2:], seed=0)
 
 
-SURE = dict.fromkeys(ALL, 1e-11) | {"views": 9e-6, "world": 1e-10}
-FOCAL = dict.fromkeys(ALL, 1e-14) | {"views": 7e-6, "world": 5e-13}
+SURE = dict.fromkeys(ALL, 1e-11) | {"views": 4e-4, "world": 1e-10}
+FOCAL = dict.fromkeys(ALL, 1e-12) | {"views": 5e-4, "world": 1e-11}
 
 
 def surer(found: Uncertainty, expected: Uncertainty, views: np.ndarray) -> float:
@@ -81,7 +81,10 @@ def surer(found: Uncertainty, expected: Uncertainty, views: np.ndarray) -> float
 @law
 @given(seed=SEEDS)
 def test_how_sure_a_rig_is_knows_no_order_time_mirror_or_world(how, seed):
-    """Sigmas: measured 7e-13, another world 1e-11, another order of cameras 6e-6."""
+    """Sigmas: measured 7e-13, another world 1e-11, another order of cameras 2e-4.
+
+    Focal lengths are freed on a part of the points, another one in another order of cameras: 3.4e-4.
+    """
     rng = np.random.default_rng(seed)
     rig, expected = assessed(12)
     sample, place, matches, views = told(how, rng, **SMALL)
