@@ -83,7 +83,7 @@ def surer(found: Uncertainty, expected: Uncertainty, views: np.ndarray) -> float
 def test_how_sure_a_rig_is_knows_no_order_time_mirror_or_world(how, seed):
     """Sigmas: measured 7e-13, another world 1e-11, another order of cameras 2e-4.
 
-    Focal lengths are freed on a part of the points, another one in another order of cameras: 3.4e-4.
+    Focal lengths are freed on a part of the points, another one in another order: 3.4e-4.
     """
     rng = np.random.default_rng(seed)
     rig, expected = assessed(12)
