@@ -53,11 +53,13 @@ class SyncConfig:
     window: frames by which a camera may be early or late.
     rates: cameras whose frame rates are known to be others: (name, frames of this camera for one
         of the others).
+    subframe: whether offsets of parts of a frame are estimated and applied.
     """
 
     mode: SyncMode = "auto"
     window: int = 60
     rates: tuple[tuple[str, float], ...] = ()
+    subframe: bool = True
 
 
 @dataclass(frozen=True)
@@ -573,49 +575,6 @@ class MovedConfig:
 
 
 @dataclass(frozen=True)
-class SubframeConfig:
-    """Offsets of clocks within about a frame; see `clocks.time_offsets`.
-
-    enabled: look for them at all.
-    screen_points: triangulated points that a first look takes, and points: that an estimate takes.
-    stretch: frames that follow each other, of which the points come; further stretches are spread
-        over the recording.
-    least_smoothness: 1 = points move without jerks, 0 = as frames of different times would have
-        them. Measured: 0.6 to 0.96 in recordings of moving subjects, 0.15 and 0.26 in samples of
-        single frames, 0.26 in one whose subjects hardly move, 0.40 of a fly.
-    least_points: that move and that a view sees, for its clock to be told.
-    screen_significance: standard deviations that a first look must find for more.
-    significance, least_offset: standard deviations, and frames, that an offset must have to be
-        used. Measured: at most 3.6 standard deviations in a hundred parts of eleven recordings in
-        step; 6 to 60 in seven of them where cameras take every second or third frame.
-    most_offset: frames beyond which none is used: points are known to move straight, or on a
-        parabola, from a frame before to a frame after. Offsets of 2 frames and more end anywhere.
-    uncertainty: standard deviation of an offset before anything is known, in frames.
-    rounds: of adjusting, each with the motion of the one before, until no offset changes by more
-        than `settled` frames. Each ends when a step lowers the cost by no more than the share
-        `tolerance`.
-    held_out: share of the detections that are left out, and must be better predicted with the
-        offsets than without.
-    """
-
-    enabled: bool = True
-    screen_points: int = 4000
-    points: int = 12_000
-    stretch: int = 10
-    least_smoothness: float = 0.5
-    least_points: int = 100
-    screen_significance: float = 3.0
-    significance: float = 5.0
-    least_offset: float = 0.1
-    most_offset: float = 1.2
-    uncertainty: float = 2.0
-    rounds: int = 7
-    settled: float = 0.01
-    tolerance: float = 1e-4
-    held_out: float = 0.15
-
-
-@dataclass(frozen=True)
 class VerifyConfig:
     """Whether a calibration goes with keypoints, and which camera moved since.
 
@@ -889,7 +848,6 @@ class Config:
     poses: PosesConfig = PosesConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     moved: MovedConfig = MovedConfig()
-    subframe: SubframeConfig = SubframeConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
     verify: VerifyConfig = VerifyConfig()
     mend: MendConfig = MendConfig()

@@ -19,7 +19,7 @@ import numpy as np
 from mocap_calib.adjust.estimated_cameras import estimate_cameras
 from mocap_calib.adjust.refine import adjust_from_best_start
 from mocap_calib.clocks.estimate import calibrate_on_clocks, estimate_clocks
-from mocap_calib.clocks.subframe import settle_clocks
+from mocap_calib.clocks.subframe import synchronise_detections
 from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, Refinement
@@ -290,7 +290,7 @@ def _calibrate_cameras(
         )
         matches = finalise_identities(recording, adjusted.rig, matches, config)
     with clock("clocks"):
-        observed, adjusted, offsets = settle_clocks(observed, adjusted, matches, config)
+        observed, adjusted, offsets = synchronise_detections(observed, adjusted, matches, config)
     return conclude(
         observed,
         averaged,

@@ -10,8 +10,8 @@ from scipy.linalg import null_space
 from mocap_calib.adjust import refine
 from mocap_calib.adjust.covariance import _inverse_at_size
 from mocap_calib.clocks.evidence import along_map
-from mocap_calib.clocks.time_offsets import _are_usable, _choose_stretches
-from mocap_calib.config import Config, SubframeConfig
+from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
+from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.identities.evidence import _pieces_between
 from mocap_calib.rig.graph import best_scores
@@ -115,12 +115,11 @@ def test_a_clock_that_was_not_put_right_counts_where_it_is_certainly_off():
 def test_offsets_of_clocks_are_used_that_are_certain_large_and_all_in_reach():
     """The first camera's is 0; the third's is small, and the last one's not certain."""
     tau, sigma = np.array([0.0, 0.5, 0.08, -0.3]), np.array([0.0, 0.02, 0.001, 0.2])
-    config = SubframeConfig()
     found = SimpleNamespace(tau=tau, sigma=sigma)
-    assert _are_usable(found, 5.0, config).tolist() == [False, True, False, False]
-    assert _are_usable(found, 5.0, config, share=0.5).tolist() == [False, True, True, False]
+    assert _are_significant(found, 5.0, 0.1).tolist() == [False, True, False, False]
+    assert _are_significant(found, 5.0, 0.05).tolist() == [False, True, True, False]
     far = SimpleNamespace(tau=np.append(tau, -1.3), sigma=np.append(sigma, 0.02))
-    assert not _are_usable(far, 5.0, config).any()
+    assert not _are_significant(far, 5.0, 0.1).any()
 
 
 def test_the_score_of_a_camera_is_that_of_its_best_pair():
