@@ -214,7 +214,9 @@ def refine_clocks(
         if agreements.values:
             timing = find_timing(agreements, constant=True)
             for found in _cameras(rig.names, numbers, timing, agreements, agreements):
-                cameras[found.camera] = combine_clocks(cameras[found.camera], found)
+                # one frame is left to the estimate of parts of a frame, which is finer
+                if not found.differs or abs(found.offset) > numbers.step:
+                    cameras[found.camera] = combine_clocks(cameras[found.camera], found)
     return clocks_from(recording, tuple(cameras.values()))
 
 
