@@ -10,10 +10,10 @@ import numpy as np
 import pycolmap
 
 from mocap_calib.adjust.problem import Problem, choose_problem, wider_scales
-from mocap_calib.adjust.refine import with_size_of
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.geometry.colmap import build_model, silent_colmap
+from mocap_calib.geometry.gauge import with_size_of
 from mocap_calib.geometry.projection import CORNER_OFFSET
 from mocap_calib.types import Camera, CameraRig, Floats, Matches, ObservedPoints, Sample
 

@@ -12,6 +12,7 @@ from mocap_calib.adjust.residuals import State
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.gauge import with_size_of
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.rig.associate import associate, have_same_groups, label_single_subject
 from mocap_calib.rig.factorization import factorise
@@ -70,15 +71,6 @@ def placed_as(rig: CameraRig, state: State) -> CameraRig:
     """Return the rig with the poses of a state, at the size that it has."""
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
     return with_size_of(rig, adjusted)
-
-
-def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
-    """Return the rig at the size of a reference, the first camera where the reference has it."""
-    first = reference.centres[0]
-    size = np.sqrt(((rig.centres - first) ** 2).sum())
-    reference_size = np.sqrt(((reference.centres - first) ** 2).sum())
-    centres = first + (rig.centres - first) * (reference_size / size)
-    return rig.stand(rig.rotation, centres)
 
 
 class Adjuster(Protocol):

@@ -24,6 +24,15 @@ def rig_change(before: CameraRig, after: CameraRig) -> Floats:
     return project_out_similarity(np.concatenate([turn, shift], axis=1), before)
 
 
+def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
+    """Return the rig at the size of a reference, the first camera where the reference has it."""
+    first = reference.centres[0]
+    size = np.sqrt(((rig.centres - first) ** 2).sum())
+    reference_size = np.sqrt(((reference.centres - first) ** 2).sum())
+    centres = first + (rig.centres - first) * (reference_size / size)
+    return rig.stand(rig.rotation, centres)
+
+
 def changed_rig(rig: CameraRig, change: Floats) -> CameraRig:
     """Return a rig whose cameras were turned and shifted by changes `[view, 6]` of `rig_change`."""
     rotation = rig.rotation @ matrix_from_vector(change[:, :3])

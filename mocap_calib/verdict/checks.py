@@ -190,7 +190,7 @@ CHECKS = (
         "over time",
         "largest error of a stretch of time, in median ones",
         sound=(1.1, 2.3),
-        limit=25.0,
+        limit=3.0,
         meaning="{camera}: errors are {value:.1f} times as large for a part of the recording",
         remedy="check whether it was moved or out of step for a part of the recording",
         measure=over_time,
