@@ -67,6 +67,7 @@ FaultWord = Literal[
     "exchanged",
     "duplicate",
     "moved",
+    "unrelated",
     "inconsistent",
 ]
 FAULT_WORDS: tuple[FaultWord, ...] = get_args(FaultWord)

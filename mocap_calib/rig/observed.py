@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap_calib.errors import UnderconstrainedCameraError
 from mocap_calib.rig.graph import pairs_among
-from mocap_calib.types import Floats, Ints, LiftedPoses, PairwiseCalibration, Recording, Sample
+from mocap_calib.types import Ints, LiftedPoses, PairwiseCalibration, Recording, Sample
 
 T = TypeVar("T")
 
@@ -26,11 +26,6 @@ class Observed:
     sample: Sample
     lifted: LiftedPoses
     pairs: tuple[PairwiseCalibration, ...]
-
-    @property
-    def rotations(self) -> dict[tuple[int, int], Floats]:
-        """(a, b) -> `[3, 3]` b_from_a of each pair."""
-        return {(pair.a, pair.b): pair.rotation for pair in self.pairs}
 
     def select(self, views: Ints) -> "Observed":
         """Return what is known of these views (`[view]` indices) alone."""

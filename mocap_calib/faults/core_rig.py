@@ -1,12 +1,13 @@
-"""The leave-one-out rig: of all cameras but one, and the points that it places."""
+"""The rig of all cameras but one, and the points that these know."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.rig_covariance import rig_covariance
-from mocap_calib.config import Config
+from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.gauge import changed_rig
 from mocap_calib.recording.sampling import evenly_spaced
@@ -17,15 +18,15 @@ from mocap_calib.rig.large_rigs import takes_all_pairs
 from mocap_calib.rig.observed import Observed, leave_out_underconstrained
 from mocap_calib.rig.placed import PlacedCameras, place_bodies
 from mocap_calib.rig.tracks import labelled_frames
-from mocap_calib.types import CameraRig, Floats, Ints, Sample, silent
+from mocap_calib.types import CameraRig, Floats, Ints, RigCovariance, Sample, silent
 
 
 @dataclass(frozen=True)
-class OtherCameras:
-    """The leave-one-out rig of a camera.
+class CoreRig:
+    """Cameras that agree, and what they know.
 
-    sample, placed: of the other cameras. frames: `[frame]` indices into the sample of some frames.
-    points: `[frame, individual, keypoint, 3]` in the rig's world, NaN = not placed. Individuals are
+    sample, placed: of these cameras. frames: `[frame]` indices into the sample of some frames.
+    points: `[frame, individual, keypoint, 3]` in the rig's world, NaN = not known. Individuals are
         those of a frame, in any order.
     pair_score: mean over the pairs of the rig.
     """
@@ -42,17 +43,22 @@ class OtherCameras:
         return self.placed.rig
 
 
-def leave_out(observed: Observed, view: int, config: Config) -> OtherCameras | None:
-    """Return the leave-one-out rig of a view (index); None where the others make no rig.
+def find_core_rig(observed: Observed, view: int, config: Config) -> CoreRig | None:
+    """Return the rig of the cameras besides one (index); None where they make none.
 
-    In a large rig the others are those that were paired with the view.
+    Of a large rig, of those that were paired with it: the others say little of what it saw.
     """
     others = _others(observed, view, config)
-    rough = replace(config, adjust=replace(config.adjust, rounds=1, points=4000))
+    rough = replace(
+        config,
+        adjust=replace(
+            config.adjust, rounds=config.diagnosis.rounds, points=config.diagnosis.points
+        ),
+    )
 
-    def build(some: Observed) -> OtherCameras:
+    def build(some: Observed) -> CoreRig:
         """Return the rig of some cameras."""
-        return _build(some, rough)
+        return _build_core(some, rough)
 
     try:
         group = camera_groups(others.recording.cameras, others.pairs, config.averaging)[0]
@@ -62,7 +68,7 @@ def leave_out(observed: Observed, view: int, config: Config) -> OtherCameras | N
 
 
 def _others(observed: Observed, view: int, config: Config) -> Observed:
-    """Return what the other cameras saw, in a large rig those that were paired with the view."""
+    """Return what the cameras besides one saw, of a large rig those that were paired with it."""
     names = observed.recording.names
     if takes_all_pairs(len(names), config.view_graph):
         return observed.without(names[view])
@@ -70,7 +76,7 @@ def _others(observed: Observed, view: int, config: Config) -> Observed:
     return observed.select(np.array(sorted(set().union(*paired)), dtype=np.int64))
 
 
-def _build(observed: Observed, config: Config) -> OtherCameras:
+def _build_core(observed: Observed, config: Config) -> CoreRig:
     """Return the rig of these cameras: average -> match -> adjust -> triangulate."""
     sample, lifted = observed.sample, observed.lifted
     averaged = average(observed.recording.cameras, observed.pairs, config.averaging)
@@ -80,7 +86,7 @@ def _build(observed: Observed, config: Config) -> OtherCameras:
     )
     placed = PlacedCameras.of(sample, adjusted.rig, adjusted.matches, config)
     frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
-    return OtherCameras(
+    return CoreRig(
         sample=sample,
         placed=placed,
         frames=frames,
@@ -89,18 +95,29 @@ def _build(observed: Observed, config: Config) -> OtherCameras:
     )
 
 
-def bent_points(others: OtherCameras, config: Config, *, seed: int) -> list[tuple[float, Floats]]:
-    """Return points of slightly bent rigs, along the longest axes of the rig's covariance.
+def core_covariance(core: CoreRig, config: Config, *, seed: int) -> RigCovariance:
+    """Return how sure the places of these cameras are."""
+    return rig_covariance(core.sample, core.rig, core.placed.matches, config, seed=seed)
 
-    Each with one standard deviation along its axis, as a multiple of how far the rig was bent.
+
+def is_determined(covariance: RigCovariance, config: DiagnosisConfig) -> bool:
+    """Return whether what was seen determines the rig, by the yardstick of the verdict."""
+    return bool(np.rad2deg(covariance.rotation_sigma.max()) < config.core_deg)
+
+
+def bent_points(
+    core: CoreRig, covariance: RigCovariance, config: Config
+) -> Iterator[tuple[float, Floats]]:
+    """Yield a factor, and where the points of a core rig lie if the rig is off by a little.
+
+    That is along each axis of its covariance in turn, the longest first. The factor is one standard
+    deviation along the axis, as a multiple of how far the rig was moved. Points: as of the rig.
     """
-    views, little = len(others.rig), 1e-4  # radians and sizes of the rig: for slopes
-    covariance = rig_covariance(others.sample, others.rig, others.placed.matches, config, seed=seed)
+    views = len(core.rig)
     variances, axes = np.linalg.eigh(covariance.matrix.reshape(6 * views, 6 * views))
-    bent = []
-    for variance, axis in zip(variances[:-25:-1], axes.T[:-25:-1], strict=True):
-        rig = changed_rig(others.rig, little * axis.reshape(views, 6))
-        placed = replace(others.placed, rig=rig)
-        points = place_bodies(others.sample, placed, others.frames, config)
-        bent.append((np.sqrt(max(float(variance), 0.0)) / little, points))
-    return bent
+    longest = np.argsort(-variances)[: config.diagnosis.axes]
+    little = config.diagnosis.axis_step
+    for variance, axis in zip(variances[longest], axes.T[longest], strict=True):
+        placed = replace(core.placed, rig=changed_rig(core.rig, little * axis.reshape(views, 6)))
+        times = np.sqrt(max(float(variance), 0.0)) / little
+        yield times, place_bodies(core.sample, placed, core.frames, config)
