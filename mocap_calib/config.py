@@ -1184,3 +1184,6 @@ INTERSECT_OUTLIER = 16.0  # squared error from which on a ray does not belong
 INTERSECT_DOUBTFUL = 4 / 3
 INTERSECT_AGREEING_SHARE = 0.6  # of a point's rays that must meet for the rest to be outliers
 INTERSECT_AGREEING_RAYS = 3  # and so many of them at least
+
+# COLMAP and nerfstudio have (0, 0) at the corner of the first pixel, we have it at its centre
+CORNER_OFFSET = 0.5

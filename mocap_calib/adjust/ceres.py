@@ -11,10 +11,9 @@ import pycolmap
 
 from mocap_calib.adjust.problem import Problem, choose_problem, wider_scales
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import Config
+from mocap_calib.config import CORNER_OFFSET, Config
 from mocap_calib.geometry.colmap import build_model, silent_colmap
 from mocap_calib.geometry.gauge import with_size_of
-from mocap_calib.geometry.projection import CORNER_OFFSET
 from mocap_calib.types import Camera, CameraRig, Floats, Matches, ObservedPoints, Sample
 
 _STEPS = 100  # at most

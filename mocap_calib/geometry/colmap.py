@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 import pycolmap
 
-from mocap_calib.geometry.projection import CORNER_OFFSET
+from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.types import Camera, CameraRig, ObservedPoints
 
 

@@ -13,8 +13,6 @@ from mocap_calib.geometry import lens
 from mocap_calib.records import as_array
 from mocap_calib.types import Camera, CameraRig, Floats, Reals
 
-# COLMAP and nerfstudio have (0, 0) at the corner of the first pixel, we have it at its centre
-CORNER_OFFSET = 0.5
 _BLOCK = 8192  # what is computed of so many stays in the cache
 
 

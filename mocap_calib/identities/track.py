@@ -158,7 +158,8 @@ def _names_by_place(points: Floats) -> Ints:
 
     A group has the name that was last nearest to where it is.
     """
-    middles = np.nanmean(points, axis=2)
+    known = np.isfinite(points[..., :1]).sum(2)
+    middles = np.nansum(points, axis=2) / np.where(known > 0, known, np.nan)
     present = np.isfinite(middles[..., 0])
     names = np.where(present, np.arange(present.shape[1]), -1)
     last = np.full(middles.shape[1:], np.inf)

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 
 from mocap_calib.colours import colour_of, rgb
+from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.geometry.gauge import rig_size
-from mocap_calib.geometry.projection import CORNER_OFFSET, pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.types import ARBITRARY, METRES, Camera, CameraRig, Floats, Poses3D
 
 Image = Any  # numpy's array of uint8 [height, width, 3], blue green red

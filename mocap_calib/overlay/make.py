@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from mocap_calib.colours import colour_of
+from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.geometry.projection import CORNER_OFFSET
 from mocap_calib.io.atomic import replace_folder
 from mocap_calib.overlay import drawing
 from mocap_calib.overlay.drawing import Image, View

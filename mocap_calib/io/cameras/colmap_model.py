@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import FormatError
 from mocap_calib.geometry.colmap import silent_colmap
-from mocap_calib.geometry.projection import CORNER_OFFSET
 from mocap_calib.io.cameras.common import (
     COLMAP_LENSES,
     PlacedCamera,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.geometry.projection import CORNER_OFFSET
+from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.io.cameras.common import (
     Extrinsics,
     PlacedCamera,
