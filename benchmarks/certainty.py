@@ -28,7 +28,7 @@ from scipy.stats import chi2
 
 from mocap_calib.errors import MocapCalibError
 from mocap_calib.pipeline import calibrate
-from mocap_calib.types import VERDICTS
+from mocap_calib.results import VERDICTS
 
 Line = dict[str, Any]
 

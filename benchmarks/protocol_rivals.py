@@ -25,7 +25,8 @@ from mocap_calib.lift.lift import rays_by_joint
 from mocap_calib.pairs.affinity import mutual_best
 from mocap_calib.paper.five_point import Found
 from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.types import Bools, Floats, LiftedPoses, Sample, Skeleton
+from mocap_calib.results import LiftedPoses
+from mocap_calib.types import Bools, Floats, Sample, Skeleton
 
 ROUNDS = 10  # turns of matching and aligning
 LEAST_JOINTS = 4  # seen in both views, of a match

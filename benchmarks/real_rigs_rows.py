@@ -22,7 +22,8 @@ from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.assumed import assume_cameras
-from mocap_calib.types import Camera, GroupResult, Recording
+from mocap_calib.results import GroupResult
+from mocap_calib.types import Camera, Recording
 from mocap_calib.verdict.evaluation import evaluate
 
 PROGRAM = "from mocap_calib_cli.main import main; main()"

@@ -32,9 +32,10 @@ from mocap_calib.lift.loading import AUTO, choose_model
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.results import Matches
 from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.types import CameraRig, Floats, Matches, Recording
+from mocap_calib.types import CameraRig, Floats, Recording
 
 NAMES = (
     "h36m_S1_walking",

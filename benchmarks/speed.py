@@ -41,8 +41,9 @@ from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import AdjustConfig
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.results import Matches
 from mocap_calib.rig.triangulate import triangulate_pixels
-from mocap_calib.types import CameraRig, Floats, Matches, Sample
+from mocap_calib.types import CameraRig, Floats, Sample
 
 TOOL = ["-m", "mocap_calib_cli"]
 PEERS = Path(__file__).with_name("speed_peers.py")

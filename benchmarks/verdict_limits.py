@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
-from mocap_calib.types import Floats, word_of_error
+from mocap_calib.results import word_of_error
+from mocap_calib.types import Floats
 from mocap_calib.verdict.checks import CHECKS
 
 MOST_DEG = 5.0  # of one check, as in verdict/checks.py

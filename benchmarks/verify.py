@@ -28,7 +28,8 @@ from mocap_calib.lift.lift import lift
 from mocap_calib.lift.loading import choose_model
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.types import CameraRig, LiftedPoses, Sample, silent
+from mocap_calib.results import LiftedPoses
+from mocap_calib.types import CameraRig, Sample, silent
 from mocap_calib.verdict.verify import verify_rig
 
 TURNS_DEG = (1.0, 2.0, 5.0)

@@ -33,23 +33,19 @@ if TYPE_CHECKING:
         Rotated,
         Sides,
     )
-    from mocap_calib.rig.triangulate import triangulate
-    from mocap_calib.synthetic import Scene, simulate
-    from mocap_calib.synthetic.config import SimulateConfig
-    from mocap_calib.types import (
+    from mocap_calib.results import (
         CalibrationResult,
-        Camera,
-        CameraRig,
         Fault,
         GroupResult,
-        Keypoints2D,
         Matches,
-        PosedCamera,
         Poses3D,
-        Recording,
         Verification,
         VerifiedCamera,
     )
+    from mocap_calib.rig.triangulate import triangulate
+    from mocap_calib.synthetic import Scene, simulate
+    from mocap_calib.synthetic.config import SimulateConfig
+    from mocap_calib.types import Camera, CameraRig, Keypoints2D, PosedCamera, Recording
     from mocap_calib.verdict.evaluation import Evaluation, evaluate
     from mocap_calib.verdict.verify import verify
 
@@ -86,20 +82,16 @@ _NAMES = {
     ),
     "synthetic": ("Scene", "simulate"),
     "synthetic.config": ("SimulateConfig",),
-    "types": (
+    "results": (
         "CalibrationResult",
-        "Camera",
-        "CameraRig",
         "Fault",
         "GroupResult",
-        "Keypoints2D",
         "Matches",
-        "PosedCamera",
         "Poses3D",
-        "Recording",
         "Verification",
         "VerifiedCamera",
     ),
+    "types": ("Camera", "CameraRig", "Keypoints2D", "PosedCamera", "Recording"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 

@@ -25,16 +25,8 @@ from mocap_calib.io.poses.write import write_poses
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.report import rig_report
 from mocap_calib.report_verdict import verdict_of_cameras
-from mocap_calib.types import (
-    CalibrationResult,
-    Camera,
-    CameraRig,
-    Keypoints2D,
-    Mend,
-    Poses3D,
-    Recording,
-    intrinsics_of,
-)
+from mocap_calib.results import CalibrationResult, Mend, Poses3D
+from mocap_calib.types import Camera, CameraRig, Keypoints2D, Recording, intrinsics_of
 
 Paths = str | Path | Sequence[str | Path]
 ImageSizes = tuple[int, int] | Mapping[str, tuple[int, int]]

@@ -1,4 +1,4 @@
-"""Methods of records whose work is done in rooms above `types`, bound to the records here.
+"""Methods of records whose work is done in rooms above `results`, bound to the records here.
 
 `mocap_calib.__getattr__` imports this module before it returns the first name of the front door,
 so `rig.project(...)` and `result.plot()` work for every user. The package itself calls the
@@ -15,15 +15,13 @@ from mocap_calib.geometry.projection import project
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.notebook.tables import describe_group, describe_result, describe_rig
 from mocap_calib.records import as_array
+from mocap_calib.results import CalibrationResult, GroupResult, Poses3D
 from mocap_calib.types import (
-    CalibrationResult,
     Camera,
     CameraRig,
     Floats,
-    GroupResult,
     Keypoints2D,
     PosedCamera,
-    Poses3D,
     Recording,
     intrinsics_of,
 )

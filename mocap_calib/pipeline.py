@@ -37,6 +37,7 @@ from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
+from mocap_calib.results import CalibrationResult, Clocks, GroupResult, Matches, UnusedPair
 from mocap_calib.rig.associate import associate, label_all_frames
 from mocap_calib.rig.averaging import average
 from mocap_calib.rig.graph import camera_groups
@@ -45,18 +46,7 @@ from mocap_calib.rig.loops import select_hypotheses
 from mocap_calib.rig.observed import Observed, leave_out_underconstrained
 from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.training.device import on_device
-from mocap_calib.types import (
-    CalibrationResult,
-    CameraRig,
-    Clocks,
-    GroupResult,
-    Mapper,
-    Matches,
-    Progress,
-    Recording,
-    UnusedPair,
-    silent,
-)
+from mocap_calib.types import CameraRig, Mapper, Progress, Recording, silent
 from mocap_calib.verdict.conclusion import conclude
 from mocap_calib.verdict.verdict import judge
 from mocap_calib.world.asked import check_world

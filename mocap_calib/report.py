@@ -20,18 +20,16 @@ from mocap_calib.report_verdict import (
     describe_verdict,
     finite_or_none,
 )
-from mocap_calib.rig.graph import best_scores
-from mocap_calib.rig.loops import alternative_taken
-from mocap_calib.types import (
+from mocap_calib.results import (
     POINT_SOURCES,
-    Bools,
     CalibrationResult,
-    EstimatedCamera,
     Fault,
-    Floats,
     GroupResult,
     PairwiseCalibration,
 )
+from mocap_calib.rig.graph import best_scores
+from mocap_calib.rig.loops import alternative_taken
+from mocap_calib.types import Bools, EstimatedCamera, Floats
 from mocap_calib.verdict.explained import distances_from_points
 
 SCHEMA = 3  # goes up when a key of run.json goes or changes its meaning

@@ -3,7 +3,8 @@
 import numpy as np
 
 from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.types import Camera, CameraRig, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Camera, CameraRig
 
 DLC = (
     "scorer,net,net,net\nbodyparts,nose,nose,nose\n"

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from mocap_calib.html_report.source import ReportSource, Seen
-from mocap_calib.types import CameraRig, Matches, Poses3D, Recording
+from mocap_calib.results import Matches, Poses3D
+from mocap_calib.types import CameraRig, Recording
 
 
 def large_source(

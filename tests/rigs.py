@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.types import Camera, CameraRig, RigCovariance, Uncertainty
+from mocap_calib.results import RigCovariance, Uncertainty
+from mocap_calib.types import Camera, CameraRig
 
 LENGTHS = (0, 4, 5, 8)
 PLAIN = st.text("abcxyzABC0123456789_-", min_size=1, max_size=8)

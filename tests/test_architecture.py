@@ -108,7 +108,7 @@ def test_the_readme_says_what_each_dependency_is_for():
 
 
 # all nouns, all constants
-IN_ONE_PLACE = {"types.py", "config.py"}
+IN_ONE_PLACE = {"types.py", "results.py", "config.py"}
 DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/training/", "mocap_calib/paper/"),
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),
@@ -124,9 +124,13 @@ DOORS = {  # module: where alone it is imported
     "pynwb": ("mocap_calib/io/",),
     "rerun": ("mocap_calib/io/poses/rerun_file.py",),
     "bpy": ("mocap_calib/io/poses/blender_scene.py",),  # which Blender runs
-    # types and methods name both to type checkers
-    "xarray": ("mocap_calib/io/", "mocap_calib/types.py", "mocap_calib/methods.py"),
-    "plotly": ("mocap_calib/notebook/figure.py", "mocap_calib/types.py", "mocap_calib/methods.py"),
+    # results and methods name both to type checkers
+    "xarray": ("mocap_calib/io/", "mocap_calib/results.py", "mocap_calib/methods.py"),
+    "plotly": (
+        "mocap_calib/notebook/figure.py",
+        "mocap_calib/results.py",
+        "mocap_calib/methods.py",
+    ),
     "tomli_w": ("mocap_calib/io/",),
     "yaml": ("mocap_calib/io/", "mocap_calib/recording/joints.py"),
     "distributed": ("mocap_calib/compute/cluster.py",),

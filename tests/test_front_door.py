@@ -20,7 +20,8 @@ from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.lift.loading import choose_model
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.types import AssumedCamera, Clocks
+from mocap_calib.results import Clocks
+from mocap_calib.types import AssumedCamera
 from mocap_calib_cli.options import READING
 
 HEAVY = ("numpy", "torch", "scipy", "cv2", "h5py", "yaml")

@@ -11,7 +11,7 @@ from scenes import calibrate_group, recording
 
 from mocap_calib import mapped
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, write_poses_h5
-from mocap_calib.types import GroupResult, Poses3D
+from mocap_calib.results import GroupResult, Poses3D
 
 ON_DISK = hasattr(os, "posix_fallocate")
 

@@ -9,15 +9,8 @@ import pytest
 from scenes import calibrate_all, recording, scene
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.types import (
-    CalibrationResult,
-    CameraRig,
-    Cause,
-    EstimatedCamera,
-    Fault,
-    Verdict,
-    World,
-)
+from mocap_calib.results import CalibrationResult, Cause, Fault, Verdict
+from mocap_calib.types import CameraRig, EstimatedCamera, World
 
 SCENE = {"cameras": 3, "people": 2, "frames": 30}
 EVIL = "<script>alert(1)</script>&"

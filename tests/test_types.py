@@ -14,7 +14,8 @@ import mocap_calib as mc
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.registry import find_format
-from mocap_calib.types import Adjusted, LiftedPoses, PairwiseCalibration, World
+from mocap_calib.results import Adjusted, LiftedPoses, PairwiseCalibration
+from mocap_calib.types import World
 
 MATRIX = [[1000, 0, 640], [0, 1010, 360], [0, 0, 1]]
 UNIT = np.eye(3).tolist()

@@ -27,7 +27,8 @@ from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import write_poses
-from mocap_calib.types import Camera, CameraRig, Keypoints2D, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Camera, CameraRig, Keypoints2D
 
 HERE = Path(__file__).parent
 CONSTRAINTS = (

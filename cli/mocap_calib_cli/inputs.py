@@ -36,14 +36,8 @@ from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.recording.retiming import clocks_of_rig, retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.types import (
-    CameraRig,
-    Ints,
-    LiftedPoses,
-    Matches,
-    Recording,
-    Sample,
-)
+from mocap_calib.results import LiftedPoses, Matches
+from mocap_calib.types import CameraRig, Ints, Recording, Sample
 from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.options import STDIO, SharedOptions
 from mocap_calib_cli.progress import Reporter

@@ -15,7 +15,8 @@ from mocap_calib.io.atomic import write_pieces
 from mocap_calib_cli.options import STDIO
 
 if TYPE_CHECKING:
-    from mocap_calib.types import Poses3D, Recording
+    from mocap_calib.results import Poses3D
+    from mocap_calib.types import Recording
 
 
 def write_text(output: str, pieces: Iterable[bytes]) -> None:

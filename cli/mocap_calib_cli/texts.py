@@ -12,7 +12,7 @@ from mocap_calib.io.file import LARGEST_EXACT_FLOAT
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.recording.corrections import Exchanged, Mirrored, Moved, Resized, Rotated, Sides
-from mocap_calib.types import Mend
+from mocap_calib.results import Mend
 from mocap_calib_cli.options import SharedOptions
 from mocap_calib_cli.values import wrong_form
 

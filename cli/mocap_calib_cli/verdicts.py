@@ -37,7 +37,7 @@ def check_demands(options: SharedOptions) -> None:
 def exit_status(verdict: str, options: SharedOptions) -> int:
     """Return 0 where results of a verdict will do, and 1 where they will not.
 
-    verdict: one of `types.VERDICTS`.
+    verdict: one of `results.VERDICTS`.
     """
     if options.strict:
         return int(verdict in _DOUBTFUL)

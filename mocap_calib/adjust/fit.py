@@ -7,10 +7,11 @@ import numpy as np
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.geometry.rays import points_in_cameras
 from mocap_calib.geometry.reprojection import project
+from mocap_calib.results import Matches
 from mocap_calib.rig.noise import view_residual
 from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate_rays
-from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
+from mocap_calib.types import Bools, CameraRig, Floats, Sample
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from mocap_calib.adjust.solve import optimise_points
 from mocap_calib.config import SAME_IMAGE_SIZE, Config, IntrinsicsConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.recording.sampling import with_cameras
+from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.rig.associate import associate, have_same_groups
 from mocap_calib.types import (
     Camera,
@@ -26,8 +27,6 @@ from mocap_calib.types import (
     EstimatedCamera,
     Floats,
     Ints,
-    LiftedPoses,
-    Matches,
     Progress,
     Sample,
     silent,

@@ -16,11 +16,12 @@ from mocap_calib.geometry.rays import ray_angles
 from mocap_calib.geometry.view_blocks import order_by_views
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import Matches
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.noise import MEDIAN_DISTANCE, view_residual
 from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate_rays
-from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording, Sample
+from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Recording, Sample
 
 
 @dataclass(frozen=True, eq=False, repr=False)

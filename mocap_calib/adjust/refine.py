@@ -14,17 +14,10 @@ from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.gauge import with_size_of
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.results import Adjusted, LiftedPoses, Matches
 from mocap_calib.rig.associate import associate, have_same_groups, label_single_subject
 from mocap_calib.rig.factorization import factorise
-from mocap_calib.types import (
-    Adjusted,
-    CameraRig,
-    LiftedPoses,
-    Matches,
-    Progress,
-    Sample,
-    silent,
-)
+from mocap_calib.types import CameraRig, Progress, Sample, silent
 
 
 def adjust(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> CameraRig:

@@ -23,7 +23,8 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.gauge import project_out_similarity, rig_change, rig_size
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
+from mocap_calib.results import Matches, RigCovariance
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from mocap_calib.lift.loading import AUTO, choose_model
 from mocap_calib.lift.remembered import RememberedLift
 from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import choose_stretches, take_sample
+from mocap_calib.results import Clocks
 from mocap_calib.training.device import on_device
-from mocap_calib.types import Clocks, Progress, Recording, silent
+from mocap_calib.types import Progress, Recording, silent
 
 
 def compare_clocks(

@@ -23,7 +23,8 @@ from mocap_calib.clocks.timing import FrameAgreement, ViewInTime, compare_in_tim
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CROWDED_QUANTILE, SyncConfig
 from mocap_calib.recording.retiming import clocks_from
-from mocap_calib.types import Bools, CameraClock, Clocks, Ints, LiftedPoses, Recording
+from mocap_calib.results import Clocks, LiftedPoses
+from mocap_calib.types import Bools, CameraClock, Ints, Recording
 
 
 def find_clocks(

@@ -14,9 +14,10 @@ from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.recording.sampling import usual_step
+from mocap_calib.results import Matches, Poses3D
 from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording
+from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
 _PASSES = 2  # the second triangulates what the first has brought nearer together
 _BLOCK = 1000  # frames at a time

@@ -7,8 +7,8 @@ from mocap_calib.clocks.time_offsets import find_time_offsets
 from mocap_calib.config import Config
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
+from mocap_calib.results import Adjusted, Matches, TimeOffsets
 from mocap_calib.rig.observed import Observed
-from mocap_calib.types import Adjusted, Matches, TimeOffsets
 
 
 def settle_clocks(

@@ -21,9 +21,10 @@ from mocap_calib.adjust.solve import minimise, optimise_points
 from mocap_calib.clocks.in_step import held_out_error
 from mocap_calib.config import Config, SubframeConfig
 from mocap_calib.recording.sampling import evenly_spaced, usual_step
+from mocap_calib.results import Matches, TimeOffsets
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.tracks import Tracks, labelled_frames
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording, TimeOffsets
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
 _COUNTED_FRAMES = 200  # that tell how many points a frame has
 

@@ -11,7 +11,8 @@ import numpy as np
 from mocap_calib.adjust.camera_fit import CameraFit, Unknown
 from mocap_calib.config import PLAIN_FACTORS, DiagnosisConfig
 from mocap_calib.recording.corrections import Cropped, Mirrored, Refocused, Resized, Rotated, Sides
-from mocap_calib.types import Camera, Floats, Mend, Recording
+from mocap_calib.results import Mend
+from mocap_calib.types import Camera, Floats, Recording
 
 QUARTERS = (90, 180, 270)
 

@@ -17,14 +17,9 @@ from mocap_calib.faults.odd_cameras import find_odd_cameras
 from mocap_calib.faults.sides import exchanged_instead
 from mocap_calib.faults.unrelated import find_unrelated_cameras
 from mocap_calib.recording.corrections import apply_mends
+from mocap_calib.results import CalibrationResult, Fault, FaultWord, Mend
 from mocap_calib.rig.observed import Observed
-from mocap_calib.types import (
-    CalibrationResult,
-    Fault,
-    FaultWord,
-    Mend,
-    Recording,
-)
+from mocap_calib.types import Recording
 from mocap_calib.verdict.explained import explained_share, usual_distance
 
 # what was known before the rigs of a recording were built, and all that was found

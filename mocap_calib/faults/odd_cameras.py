@@ -15,8 +15,8 @@ from mocap_calib.faults.explaining import Finding, explain, with_uncertain_core
 from mocap_calib.faults.explanations import is_acceptable, mend_of
 from mocap_calib.faults.suspicion import Signs, find_signs
 from mocap_calib.faults.words import describe
+from mocap_calib.results import CalibrationResult, Fault
 from mocap_calib.rig.observed import Observed
-from mocap_calib.types import CalibrationResult, Fault
 
 _LEAST_CAMERAS = 3  # of two nobody can say which is odd
 

@@ -13,8 +13,8 @@ import numpy as np
 from mocap_calib.config import Config
 from mocap_calib.faults.words import describe
 from mocap_calib.recording.corrections import Sides
+from mocap_calib.results import Fault
 from mocap_calib.rig.observed import Observed
-from mocap_calib.types import Fault
 
 _HALVES = 3  # cameras: of more, most are right
 

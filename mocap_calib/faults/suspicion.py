@@ -9,6 +9,7 @@ from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import CalibrationResult, Matches
 from mocap_calib.rig.noise import view_noise
 from mocap_calib.rig.observed import Observed
 from mocap_calib.rig.tracks import (
@@ -17,14 +18,7 @@ from mocap_calib.rig.tracks import (
     labelled_frames,
 )
 from mocap_calib.rig.triangulate import triangulate_rays
-from mocap_calib.types import (
-    Bools,
-    CalibrationResult,
-    CameraRig,
-    Floats,
-    Matches,
-    Sample,
-)
+from mocap_calib.types import Bools, CameraRig, Floats, Sample
 
 _LEAST_PAIRED = 4  # keypoints of a detection that tell whether its sides are exchanged
 _CLEARLY = 0.5  # of the error as given

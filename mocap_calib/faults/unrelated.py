@@ -8,9 +8,10 @@ import numpy as np
 
 from mocap_calib.adjust.resection import CameraPoses, costs_of, sightings_of
 from mocap_calib.config import Config
+from mocap_calib.results import Fault, GroupResult
 from mocap_calib.rig.observed import Observed
 from mocap_calib.rig.placed import PlacedCameras, choose_frames, place_bodies
-from mocap_calib.types import Fault, GroupResult, Ints
+from mocap_calib.types import Ints
 
 
 def find_unrelated_cameras(

@@ -14,7 +14,7 @@ from mocap_calib.recording.corrections import (
     Rotated,
     Sides,
 )
-from mocap_calib.types import Fault, FaultWord, Mend
+from mocap_calib.results import Fault, FaultWord, Mend
 
 ADVICE: dict[FaultWord, str] = {
     "mirrored": "mirror the video and detect again",

@@ -11,7 +11,8 @@ import numpy as np
 import pycolmap
 
 from mocap_calib.config import CORNER_OFFSET
-from mocap_calib.types import Camera, CameraRig, ObservedPoints
+from mocap_calib.results import ObservedPoints
+from mocap_calib.types import Camera, CameraRig
 
 
 @contextmanager

@@ -10,7 +10,8 @@ from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import pack, quantise, small_ints
 from mocap_calib.html_report.frames import fill_room, starts_of_stretches
 from mocap_calib.html_report.source import ReportSource
-from mocap_calib.types import Floats, Ints, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Floats, Ints
 
 _CONFIG = ReportConfig()
 

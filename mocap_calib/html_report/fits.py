@@ -13,7 +13,8 @@ from mocap_calib.html_report.encode import pack, pack_floats, quantise, small_in
 from mocap_calib.html_report.frames import quantiles, split_evenly
 from mocap_calib.html_report.source import Seen
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Poses3D, Recording
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording
 from mocap_calib.verdict.explained import Leftover
 
 _CONFIG = ReportConfig()

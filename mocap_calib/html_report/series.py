@@ -13,7 +13,8 @@ from mocap_calib.kinematics.definitions import define
 from mocap_calib.kinematics.motion import frame_velocity, mean_known
 from mocap_calib.recording.joints import choose_skeleton
 from mocap_calib.recording.sampling import usual_step
-from mocap_calib.types import Floats, Ints, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Floats, Ints
 
 _CONFIG = ReportConfig()
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.records import Record
-from mocap_calib.types import CameraRig, Floats, GroupResult, Matches, Poses3D, Recording
+from mocap_calib.results import GroupResult, Matches, Poses3D
+from mocap_calib.types import CameraRig, Floats, Recording
 
 
 @dataclass(frozen=True, eq=False, repr=False)

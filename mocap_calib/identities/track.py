@@ -18,10 +18,11 @@ from mocap_calib.identities.bones import measure_bones
 from mocap_calib.identities.evidence import motion_evidence, usual_distance_apart
 from mocap_calib.identities.join import join_pieces
 from mocap_calib.identities.pieces import Pieces, cut_into_pieces
+from mocap_calib.results import Matches
 from mocap_calib.rig.labels import name_groups, per_frame_labels, replace_labels
 from mocap_calib.rig.noise import view_noise
 from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
 
 def finalise_identities(

@@ -10,7 +10,7 @@ from typing import Any
 
 from mocap_calib import __version__
 from mocap_calib.errors import MismatchError
-from mocap_calib.types import VERDICTS
+from mocap_calib.results import VERDICTS
 
 # what a provenance says of the cameras beside it, and a conversion hands on: whether they were
 # adjusted, the verdict and what explains it, the error of the points in pixels, the first and last
@@ -55,7 +55,7 @@ def judgement(
 ) -> dict[str, Any]:
     """Return the fields of a provenance that say how far adjusted cameras can be trusted.
 
-    verdict: one of `types.VERDICTS`.
+    verdict: one of `results.VERDICTS`.
     remarks: what explains the verdict, a line each.
     reprojection_error_px: of the points, None where it is not known.
     sigmas: rotation_sigma_deg and centre_sigma_percent by the names of cameras: how far each may be
@@ -98,7 +98,7 @@ def _is_span(frames: list[Any]) -> bool:
 def advice_on(verdict: str) -> str:
     """Return what a verdict means for the use of a rig, to go on with after it; may be empty.
 
-    verdict: one of `types.VERDICTS`.
+    verdict: one of `results.VERDICTS`.
     """
     return _ADVICE.get(verdict, "")
 

@@ -16,7 +16,8 @@ from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.pairing import views_named
 from mocap_calib.recording.summary import RecordingSummary, summarise_recording
 from mocap_calib.recording.synchronise import join_views, recording_of_views
-from mocap_calib.types import Clocks, Keypoints2D, Recording, Skeleton
+from mocap_calib.results import Clocks
+from mocap_calib.types import Keypoints2D, Recording, Skeleton
 
 
 @dataclass(frozen=True)

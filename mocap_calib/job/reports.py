@@ -28,7 +28,8 @@ from mocap_calib.recording.corrections import Mirrored, Moved, Sides, apply_mend
 from mocap_calib.recording.epochs import own_names, views_by_camera
 from mocap_calib.recording.retiming import clocks_of_rig, retime
 from mocap_calib.report import SCHEMA
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Matches, Mend, Recording
+from mocap_calib.results import Matches, Mend
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording
 
 _REMEDY = "give the folder that `run` wrote"
 

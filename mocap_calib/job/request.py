@@ -13,7 +13,7 @@ from mocap_calib.io.file import plain_path
 from mocap_calib.io.hashing import hash_inputs
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.lift.weights import identify_model
-from mocap_calib.types import Mend
+from mocap_calib.results import Mend
 
 
 @dataclass(frozen=True)

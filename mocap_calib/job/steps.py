@@ -26,7 +26,8 @@ from mocap_calib.lift.loading import load_model
 from mocap_calib.pairs.solve import PairSolver, pair_mapper
 from mocap_calib.paper.solvers import choose_pair_solver
 from mocap_calib.pipeline import calibrate
-from mocap_calib.types import CalibrationResult, Mapper, Progress, silent
+from mocap_calib.results import CalibrationResult
+from mocap_calib.types import Mapper, Progress, silent
 from mocap_calib.world.asked import check_world
 
 

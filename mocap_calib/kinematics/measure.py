@@ -11,7 +11,8 @@ from mocap_calib.kinematics.definitions import Definitions, define
 from mocap_calib.kinematics.motion import average_around, frame_velocity, mean_known
 from mocap_calib.recording.joints import choose_skeleton
 from mocap_calib.records import Record
-from mocap_calib.types import Floats, Ints, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Floats, Ints
 
 _CONFIG = KinematicsConfig()
 BODY = "body"  # whose speed is that of the trunk

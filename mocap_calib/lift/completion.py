@@ -10,7 +10,8 @@ import numpy as np
 from mocap_calib.config import COMPLETION_CONFIDENCE, COMPLETION_SPREAD
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.views import split_by_view
-from mocap_calib.types import Bools, Floats, Keypoints2D, LiftedPoses, Sample, Skeleton
+from mocap_calib.results import LiftedPoses
+from mocap_calib.types import Bools, Floats, Keypoints2D, Sample, Skeleton
 
 
 def complete_sample(

@@ -23,7 +23,8 @@ from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.synchronise import check_joints
-from mocap_calib.types import Bools, Floats, Floats32, Ints, LiftedPoses, Progress, Sample
+from mocap_calib.results import LiftedPoses
+from mocap_calib.types import Bools, Floats, Floats32, Ints, Progress, Sample
 
 _BLOCK = 128  # detections at a time
 # Parts in which a sample is lifted to tell whether a direction is down, in sixteenths: little more

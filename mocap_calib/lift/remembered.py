@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import Lifter
-from mocap_calib.types import LiftedPoses, Progress, Sample
+from mocap_calib.results import LiftedPoses
+from mocap_calib.types import Progress, Sample
 
 
 @dataclass

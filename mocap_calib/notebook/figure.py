@@ -12,7 +12,8 @@ from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.types import ARBITRARY, CameraRig, Floats, GroupResult, Ints
+from mocap_calib.results import GroupResult
+from mocap_calib.types import ARBITRARY, CameraRig, Floats, Ints
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

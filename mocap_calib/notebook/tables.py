@@ -8,15 +8,8 @@ from html import escape
 
 import numpy as np
 
-from mocap_calib.types import (
-    ARBITRARY,
-    CalibrationResult,
-    Camera,
-    CameraRig,
-    EstimatedCamera,
-    Floats,
-    GroupResult,
-)
+from mocap_calib.results import CalibrationResult, GroupResult
+from mocap_calib.types import ARBITRARY, Camera, CameraRig, EstimatedCamera, Floats
 from mocap_calib.wording import count
 
 _HEADER = ("camera", "image", "focal length (px)", "centre")

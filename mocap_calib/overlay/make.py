@@ -15,7 +15,8 @@ from mocap_calib.overlay import drawing
 from mocap_calib.overlay.drawing import Image, View
 from mocap_calib.overlay.results import CameraResults, Results
 from mocap_calib.overlay.video import Video, check_size, open_video, read_frames
-from mocap_calib.types import NO_FRAME, CameraRig, Floats, Keypoints2D, Progress, silent
+from mocap_calib.results import NO_FRAME
+from mocap_calib.types import CameraRig, Floats, Keypoints2D, Progress, silent
 
 _GRID, _CAMERA = "#dddddd", "#ffffff"
 _CODEC = "mp4v"  # what every build of OpenCV writes

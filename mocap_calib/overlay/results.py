@@ -20,7 +20,8 @@ from mocap_calib.io.results.stored import provenance_of_cameras
 from mocap_calib.recording.retiming import own_frames
 from mocap_calib.recording.sampling import usual_step
 from mocap_calib.report import SCHEMA
-from mocap_calib.types import NO_FRAME, CameraClock, CameraRig, Floats, Ints, Keypoints2D
+from mocap_calib.results import NO_FRAME
+from mocap_calib.types import CameraClock, CameraRig, Floats, Ints, Keypoints2D
 
 _FILES = ("cameras.yaml", "poses3d.h5", "matches.csv", REPORT)
 

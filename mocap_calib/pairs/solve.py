@@ -27,17 +27,8 @@ from mocap_calib.pairs.view_pair import (
     shared_frames,
 )
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import (
-    Bools,
-    Floats,
-    Ints,
-    LiftedPoses,
-    Mapper,
-    PairwiseCalibration,
-    Progress,
-    Recording,
-    Sample,
-)
+from mocap_calib.results import LiftedPoses, PairwiseCalibration
+from mocap_calib.types import Bools, Floats, Ints, Mapper, Progress, Recording, Sample
 
 # Possible matches of joints that keep a thread busy in one pair, and that in all pairs are worth
 # processes: two seconds of work, where starting a process costs a third of one.

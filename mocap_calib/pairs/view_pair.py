@@ -12,7 +12,8 @@ from mocap_calib.geometry.epipolar import depths
 from mocap_calib.kernels import sizes
 from mocap_calib.kernels.pair_refinement import LANES
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
+from mocap_calib.results import LiftedPoses
+from mocap_calib.types import Bools, Floats, Ints, Sample
 
 _FLATNESS_FRAMES = 20  # sampled for `are_flat`
 

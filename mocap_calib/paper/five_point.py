@@ -11,7 +11,8 @@ from mocap_calib.config import FIVE_POINT_CONFIDENCE, FIVE_POINT_LEAST_FORWARD, 
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.pairs.affinity import mutual_best
 from mocap_calib.pairs.solve import PairProblem, judge_pair, mean_focal
-from mocap_calib.types import Bools, Floats, Ints, PairwiseCalibration
+from mocap_calib.results import PairwiseCalibration
+from mocap_calib.types import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)

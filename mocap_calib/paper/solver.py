@@ -30,9 +30,10 @@ from mocap_calib.paper.losses import (
     with_dummies,
 )
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import PairwiseCalibration
 from mocap_calib.training.device import torch_threads
 from mocap_calib.training.model import Model, matrix_from_vector, normalise, prepare_steering
-from mocap_calib.types import Floats, Ints, PairwiseCalibration
+from mocap_calib.types import Floats, Ints
 
 _FAR_PX = 100.0  # a joint reprojected farther away, or behind a camera, counts as this
 

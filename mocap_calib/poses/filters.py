@@ -11,7 +11,8 @@ from scipy import ndimage, signal
 
 from mocap_calib.config import FilterConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.types import Bools, Floats, Ints, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Bools, Floats, Ints
 
 
 def filter_poses(poses: Poses3D, config: FilterConfig, *, fps: float | None = None) -> Poses3D:

@@ -32,21 +32,10 @@ from mocap_calib.poses.track import (
     with_gaps,
 )
 from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.results import GroupResult, Matches, Poses3D, Smoothing
 from mocap_calib.rig.noise import view_noise
 from mocap_calib.rig.tracks import gather_tracks
-from mocap_calib.types import (
-    Bools,
-    CameraRig,
-    Floats,
-    GroupResult,
-    Ints,
-    Matches,
-    Poses3D,
-    Progress,
-    Recording,
-    Smoothing,
-    silent,
-)
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, silent
 
 _LEAST_FRAMES = 3  # of an individual: with fewer there is nothing to go by
 

@@ -8,8 +8,9 @@ from mocap_calib import mapped
 from mocap_calib.compute.medians import known_medians
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import TriangulateConfig
+from mocap_calib.results import Matches, Poses3D
 from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording
+from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
 _MEDIAN_SQUARE = 0.455  # of normal errors of variance 1
 _ROUNDS = 10  # of the middle of bones' lengths and its weights

@@ -11,8 +11,9 @@ import numpy as np
 
 from mocap_calib.config import PosesConfig
 from mocap_calib.geometry.rays import rays_in_world
+from mocap_calib.results import POINT_SOURCES
 from mocap_calib.rig.tracks import Tracks
-from mocap_calib.types import POINT_SOURCES, Bools, CameraRig, Floats, Ints
+from mocap_calib.types import Bools, CameraRig, Floats, Ints
 
 _TRIANGULATED = POINT_SOURCES.index("triangulated")
 _ONE_VIEW = POINT_SOURCES.index("one view")

@@ -12,7 +12,8 @@ import numpy as np
 from mocap_calib.config import EPOCH_MARK, SIDE_WORDS
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.joints import normalise_name
-from mocap_calib.types import Camera, EstimatedCamera, FaultWord, Ints, Mend, Recording
+from mocap_calib.results import FaultWord, Mend
+from mocap_calib.types import Camera, EstimatedCamera, Ints, Recording
 
 
 def apply_mends(recording: Recording, mends: tuple[Mend, ...]) -> Recording:

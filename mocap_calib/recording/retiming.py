@@ -6,7 +6,8 @@ import numpy as np
 
 from mocap_calib.recording.corrections import find_view
 from mocap_calib.recording.sampling import usual_step
-from mocap_calib.types import NO_FRAME, CameraClock, CameraRig, Clocks, Ints, Recording
+from mocap_calib.results import NO_FRAME, Clocks
+from mocap_calib.types import CameraClock, CameraRig, Ints, Recording
 
 
 def retime(recording: Recording, clocks: Clocks) -> Recording:

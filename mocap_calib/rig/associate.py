@@ -18,19 +18,10 @@ from mocap_calib.kernels.loading import contiguous
 from mocap_calib.pairs.affinity import epipolar_affinity
 from mocap_calib.pairs.view_pair import distances, distances_by_size
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
+from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.likelihood_ratio import LogRatio, measure_log_ratio
-from mocap_calib.types import (
-    Bools,
-    CameraRig,
-    Floats,
-    Ints,
-    LiftedPoses,
-    Matches,
-    Progress,
-    Recording,
-    Sample,
-)
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, Sample
 
 # pairs of detections grouped at a time: so many frames, or fewer in a crowd. They stay in the
 # cache, and make blocks enough for several threads

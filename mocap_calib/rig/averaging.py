@@ -19,7 +19,8 @@ from mocap_calib.geometry.rotation import (
     matrix_from_vector,
     vector_from_matrix,
 )
-from mocap_calib.types import Averaged, Camera, CameraRig, Floats, Ints, PairwiseCalibration
+from mocap_calib.results import Averaged, PairwiseCalibration
+from mocap_calib.types import Camera, CameraRig, Floats, Ints
 
 
 @dataclass(frozen=True)

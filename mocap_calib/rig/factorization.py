@@ -17,8 +17,9 @@ from mocap_calib.config import (
     FACTORIZATION_VIEWS,
 )
 from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.results import Matches
 from mocap_calib.rig.tracks import gather_tracks
-from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
+from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Sample
 
 _REVERSE_DEPTH = np.diag([1.0, 1.0, -1.0])
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from mocap_calib.config import AveragingConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.results import PairwiseCalibration
 from mocap_calib.rig.loops import count_triangles, find_lost_cameras, pairs_in_closed_triangles
-from mocap_calib.types import Camera, Floats, Ints, PairwiseCalibration
+from mocap_calib.types import Camera, Floats, Ints
 
 
 def best_scores(pairs: tuple[PairwiseCalibration, ...], views: int) -> Floats:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.types import Floats, Ints, Matches, Recording
+from mocap_calib.results import Matches
+from mocap_calib.types import Floats, Ints, Recording
 
 
 def per_frame_labels(matches: Matches) -> Matches:

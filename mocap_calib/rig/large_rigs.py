@@ -18,17 +18,9 @@ from mocap_calib.config import AveragingConfig, Config, ViewGraphConfig
 from mocap_calib.geometry.graphs import connected_parts, fiedler_vector
 from mocap_calib.pairs.solve import PairSolver, all_pairs, calibrate_pairs
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import LiftedPoses, PairwiseCalibration
 from mocap_calib.rig.loops import pairs_in_closed_triangles, select_hypotheses
-from mocap_calib.types import (
-    Bools,
-    Floats,
-    Ints,
-    LiftedPoses,
-    Mapper,
-    PairwiseCalibration,
-    Progress,
-    Sample,
-)
+from mocap_calib.types import Bools, Floats, Ints, Mapper, Progress, Sample
 
 
 def calibrate_view_graph(

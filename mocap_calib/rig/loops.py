@@ -14,7 +14,8 @@ import numpy as np
 
 from mocap_calib.config import SMALL_RIG, AveragingConfig
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.types import Bools, Floats, Ints, PairwiseCalibration
+from mocap_calib.results import PairwiseCalibration
+from mocap_calib.types import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from mocap_calib.geometry.point_covariance import median_angles
 from mocap_calib.geometry.rays import ray_angles, rays_in_world
 from mocap_calib.geometry.view_blocks import ViewBlock, view_blocks
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import Matches
 from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
-from mocap_calib.types import Bools, CameraRig, Floats, Matches, Recording
+from mocap_calib.types import Bools, CameraRig, Floats, Recording
 
 # The median distance of a normal error in the plane from its centre, sqrt(2 log 2), in standard
 # deviations of one coordinate

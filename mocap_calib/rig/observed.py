@@ -7,8 +7,9 @@ from typing import TypeVar
 import numpy as np
 
 from mocap_calib.errors import UnderconstrainedCameraError
+from mocap_calib.results import LiftedPoses, PairwiseCalibration
 from mocap_calib.rig.graph import pairs_among
-from mocap_calib.types import Ints, LiftedPoses, PairwiseCalibration, Recording, Sample
+from mocap_calib.types import Ints, Recording, Sample
 
 T = TypeVar("T")
 

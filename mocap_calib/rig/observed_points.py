@@ -6,9 +6,10 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
+from mocap_calib.results import Matches, ObservedPoints
 from mocap_calib.rig.noise import view_noise
 from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, ObservedPoints, Recording
+from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
 
 def observe_points(

@@ -6,20 +6,13 @@ import numpy as np
 
 from mocap_calib.config import Config
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import GroupResult, Matches
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.noise import view_noise
 from mocap_calib.rig.observed import Observed
 from mocap_calib.rig.tracks import Tracks, gather_tracks
 from mocap_calib.rig.triangulate import triangulate_rays
-from mocap_calib.types import (
-    CameraRig,
-    Floats,
-    GroupResult,
-    Ints,
-    Matches,
-    Recording,
-    Sample,
-)
+from mocap_calib.types import CameraRig, Floats, Ints, Recording, Sample
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.geometry import lens
-from mocap_calib.types import Bools, Floats, Ints, Matches, Recording
+from mocap_calib.results import Matches
+from mocap_calib.types import Bools, Floats, Ints, Recording
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,20 +16,10 @@ from mocap_calib.geometry.rays import agreeing_views, rays_in_world
 from mocap_calib.geometry.reprojection import reprojection_error
 from mocap_calib.geometry.view_blocks import POINT_BLOCK, ViewBlock, point_blocks, view_blocks
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import Matches, Poses3D
 from mocap_calib.rig.noise import least_noise, measure_errors, view_noise
 from mocap_calib.rig.tracks import Tracks, gather_tracks
-from mocap_calib.types import (
-    Bools,
-    CameraRig,
-    Floats,
-    Ints,
-    Matches,
-    Poses3D,
-    Progress,
-    Reals,
-    Recording,
-    silent,
-)
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Reals, Recording, silent
 
 _LEAST_POINTS = 30  # of a view: with fewer, the noise of all views together is taken
 

@@ -21,6 +21,7 @@ from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.recording.joints import match_names
 from mocap_calib.recording.skeleton_fields import parse_skeleton
+from mocap_calib.results import Poses3D
 from mocap_calib.synthetic.body_plan import parse_body
 from mocap_calib.synthetic.procedural import sample_bodies
 from mocap_calib.training.config import (
@@ -28,7 +29,7 @@ from mocap_calib.training.config import (
     OWN_SPECIES_LEAST_POSES,
     TRAINING_JOINTS,
 )
-from mocap_calib.types import Bools, CameraRig, Floats, Poses3D, Skeleton
+from mocap_calib.types import Bools, CameraRig, Floats, Skeleton
 from mocap_calib.wording import one_line
 
 Split = Literal["train", "val", "test"]

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import Config
-from mocap_calib.types import Check, Floats, GroupResult
+from mocap_calib.results import Check, GroupResult
+from mocap_calib.types import Floats
 from mocap_calib.verdict.explained import Leftover
 from mocap_calib.verdict.measures import (
     Look,

@@ -8,22 +8,19 @@ from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.pairs.solve import in_recording
-from mocap_calib.rig.observed import Observed
-from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.types import (
+from mocap_calib.results import (
     Adjusted,
     Averaged,
     CalibrationResult,
-    CameraRig,
     Clocks,
     GroupResult,
     LiftedPoses,
     Matches,
-    Progress,
-    Sample,
     TimeOffsets,
-    silent,
 )
+from mocap_calib.rig.observed import Observed
+from mocap_calib.rig.triangulate import triangulate
+from mocap_calib.types import CameraRig, Progress, Sample, silent
 from mocap_calib.verdict.checks import check_rig
 from mocap_calib.verdict.uncertainty import assess_uncertainty
 from mocap_calib.verdict.verdict import assess, judge

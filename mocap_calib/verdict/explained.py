@@ -9,17 +9,9 @@ from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import CalibrationResult, GroupResult, Matches
 from mocap_calib.rig.tracks import matched_pixels
-from mocap_calib.types import (
-    CalibrationResult,
-    Camera,
-    CameraRig,
-    Floats,
-    GroupResult,
-    Ints,
-    Matches,
-    Recording,
-)
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,11 @@ from mocap_calib.geometry import lens
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.homography import plane_errors
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import GroupResult
 from mocap_calib.rig.graph import best_scores
 from mocap_calib.rig.labels import matched_share
 from mocap_calib.rig.tracks import labelled_frames
-from mocap_calib.types import Floats, GroupResult
+from mocap_calib.types import Floats
 from mocap_calib.verdict.explained import Leftover
 
 _PAIRS = 30  # of views, that are compared with planes

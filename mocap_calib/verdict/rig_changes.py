@@ -18,7 +18,8 @@ from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.gauge import gauge_of, rig_size
 from mocap_calib.geometry.rotation import angle_between, vector_from_matrix
 from mocap_calib.records import Record
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, RigCovariance
+from mocap_calib.results import RigCovariance
+from mocap_calib.types import Bools, CameraRig, Floats, Ints
 from mocap_calib.verdict.evaluation import lay_over
 
 _POSE = 6  # numbers that say where a camera stands

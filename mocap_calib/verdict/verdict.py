@@ -13,18 +13,9 @@ import numpy as np
 from mocap_calib.config import EPOCH_MARK, Config
 from mocap_calib.recording.corrections import Cropped
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import CalibrationResult, Cause, Check, Clocks, Fault, GroupResult, Verdict
 from mocap_calib.rig.tracks import labelled_frames
-from mocap_calib.types import (
-    Bools,
-    CalibrationResult,
-    Cause,
-    Check,
-    Clocks,
-    EstimatedCamera,
-    Fault,
-    GroupResult,
-    Verdict,
-)
+from mocap_calib.types import Bools, EstimatedCamera
 from mocap_calib.verdict.checks import kind_of
 from mocap_calib.verdict.uncertainty import with_uncertain_corner
 from mocap_calib.wording import count

@@ -13,20 +13,16 @@ from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.provenance import judgement, round_sigma
-from mocap_calib.rig.placed import PlacedCameras
-from mocap_calib.types import (
+from mocap_calib.results import (
     Adjusted,
-    Camera,
-    CameraRig,
     Clocks,
-    Floats,
-    Ints,
     PlaceWord,
     RigCovariance,
-    Sample,
     Verification,
     VerifiedCamera,
 )
+from mocap_calib.rig.placed import PlacedCameras
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Sample
 from mocap_calib.verdict.rig_changes import RigChange
 from mocap_calib.verdict.verify_words import (
     describe_refits,

@@ -22,24 +22,13 @@ from mocap_calib.lift.remembered import RememberedLift
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
+from mocap_calib.results import Adjusted, LiftedPoses, Matches, Verification
 from mocap_calib.rig.associate import associate
 from mocap_calib.rig.labels import matched_share
 from mocap_calib.rig.placed import PlacedCameras
 from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.training.device import on_device
-from mocap_calib.types import (
-    Adjusted,
-    Bools,
-    CameraRig,
-    Ints,
-    LiftedPoses,
-    Matches,
-    Progress,
-    Recording,
-    Sample,
-    Verification,
-    silent,
-)
+from mocap_calib.types import Bools, CameraRig, Ints, Progress, Recording, Sample, silent
 from mocap_calib.verdict.rig_changes import find_changes
 from mocap_calib.verdict.verified import SecondLook, describe_rig, has_detections
 

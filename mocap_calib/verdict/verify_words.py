@@ -3,7 +3,8 @@
 import numpy as np
 
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
-from mocap_calib.types import Floats, VerdictWord, VerifiedCamera, word_of_error
+from mocap_calib.results import VerdictWord, VerifiedCamera, word_of_error
+from mocap_calib.types import Floats
 from mocap_calib.verdict.rig_changes import RigChange
 
 _CALIBRATE = "calibrate anew: `mocap-calib run`"

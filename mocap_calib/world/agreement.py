@@ -14,7 +14,8 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.types import Bools, CameraRig, Floats, RigCovariance
+from mocap_calib.results import RigCovariance
+from mocap_calib.types import Bools, CameraRig, Floats
 from mocap_calib.verdict.evaluation import with_axes
 from mocap_calib.world.moving import Similarity
 

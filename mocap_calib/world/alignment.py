@@ -10,16 +10,9 @@ from mocap_calib.config import KnownCamera, Landmark, WorldConfig
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.recording.epochs import views_by_camera
+from mocap_calib.results import RigCovariance
 from mocap_calib.rig.triangulate import triangulate_pixels
-from mocap_calib.types import (
-    METRES,
-    Bools,
-    Camera,
-    CameraRig,
-    Floats,
-    MeasuredLandmark,
-    RigCovariance,
-)
+from mocap_calib.types import METRES, Bools, Camera, CameraRig, Floats, MeasuredLandmark
 from mocap_calib.wording import count, one_line
 from mocap_calib.world.agreement import (
     Fit,

@@ -9,7 +9,8 @@ from mocap_calib import mapped
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.joints import choose_skeleton, match_names
-from mocap_calib.types import POINT_SOURCES, Bools, Floats, Poses3D, Recording, Skeleton
+from mocap_calib.results import POINT_SOURCES, Poses3D
+from mocap_calib.types import Bools, Floats, Recording, Skeleton
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.recording.epochs import own_name
-from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance, World
+from mocap_calib.results import Poses3D, RigCovariance
+from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, World
 from mocap_calib.world.asked import (
     camera_pair,
     check_cues,

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.types import CameraRig, Floats, GroupResult, Poses3D, RigCovariance, World
+from mocap_calib.results import GroupResult, Poses3D, RigCovariance
+from mocap_calib.types import CameraRig, Floats, World
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,8 @@ from mocap_calib.config import WORLDS, CueConfig, FloorConfig, ScaleCue, WorldCo
 from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.epochs import views_by_camera
-from mocap_calib.types import (
-    METRES,
-    CalibrationResult,
-    CameraRig,
-    Floats,
-    GroupResult,
-    Poses3D,
-    World,
-)
+from mocap_calib.results import CalibrationResult, GroupResult, Poses3D
+from mocap_calib.types import METRES, CameraRig, Floats, World
 from mocap_calib.world.alignment import (
     align_to_cameras,
     align_to_landmarks,

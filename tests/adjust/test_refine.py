@@ -11,7 +11,8 @@ from mocap_calib.adjust.refine import adjust, adjust_once
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.types import CameraRig, Matches
+from mocap_calib.results import Matches
+from mocap_calib.types import CameraRig
 
 
 def test_adjustment_comes_home_from_three_degrees():

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from mocap_calib.types import VERDICTS
+from mocap_calib.results import VERDICTS
 from mocap_calib_cli.screen import Line, Table, format_table, show
 from mocap_calib_cli.verdicts import STYLES
 

@@ -13,7 +13,7 @@ from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.job import steps
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.report import rig_report
-from mocap_calib.types import VERDICTS, CalibrationResult, Cause, Verdict
+from mocap_calib.results import VERDICTS, CalibrationResult, Cause, Verdict
 from mocap_calib.verdict import conclusion
 from mocap_calib.world.moving import Similarity, move_group
 from mocap_calib_cli.commands import adjust, batch, run

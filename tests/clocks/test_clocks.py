@@ -15,10 +15,11 @@ from mocap_calib.clocks.time_offsets import find_time_offsets
 from mocap_calib.config import Config
 from mocap_calib.recording.sampling import take_sample, usual_step
 from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.results import Matches
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.synthetic import Scene, simulate
 from mocap_calib.synthetic.config import SimulateConfig
-from mocap_calib.types import CameraRig, Floats, Matches, Recording
+from mocap_calib.types import CameraRig, Floats, Recording
 
 FINER = 20  # frames of the simulation for each frame of a camera
 FRAMES = 60

@@ -23,7 +23,8 @@ from mocap_calib.faults.suspicion import is_turned, rolls
 from mocap_calib.faults.words import describe
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.corrections import Cropped, Mirrored, Resized, Rotated, Sides
-from mocap_calib.types import Fault, Recording
+from mocap_calib.results import Fault
+from mocap_calib.types import Recording
 
 ODD = 1
 CHANGES = {"people": 1, "cameras": 4, "frames": 120, "false_detections": 0.0}

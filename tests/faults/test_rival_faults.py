@@ -13,7 +13,8 @@ from mocap_calib.faults import mend as faults
 from mocap_calib.faults.sides import exchanged_instead
 from mocap_calib.faults.unrelated import find_unrelated_cameras
 from mocap_calib.recording.corrections import Sides
-from mocap_calib.types import Camera, Fault, Recording
+from mocap_calib.results import Fault
+from mocap_calib.types import Camera, Recording
 
 ZOOM = 1.15
 

@@ -13,7 +13,8 @@ from mocap_calib.config import CameraFitConfig, Config
 from mocap_calib.faults import core_rig, odd_cameras
 from mocap_calib.faults.explaining import Finding, with_uncertain_core
 from mocap_calib.geometry.gauge import changed_rig, project_out_similarity, rig_change
-from mocap_calib.types import CameraRig, RigCovariance
+from mocap_calib.results import RigCovariance
+from mocap_calib.types import CameraRig
 
 FREE = ("log_focal", "x", "y")
 NOISE = 5.0

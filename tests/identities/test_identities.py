@@ -14,7 +14,7 @@ from mocap_calib.identities.join import join_pieces
 from mocap_calib.identities.pieces import cut_into_pieces
 from mocap_calib.identities.track import finalise_identities
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.types import Matches
+from mocap_calib.results import Matches
 
 FRAMES = 160
 JOINTS = scene().files[0].positions.shape[2]

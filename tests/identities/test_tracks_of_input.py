@@ -7,7 +7,8 @@ import pytest
 from scenes import PEOPLE, calibrate_group, precision, rotation_errors_deg, scene
 
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.types import GroupResult, Keypoints2D
+from mocap_calib.results import GroupResult
+from mocap_calib.types import Keypoints2D
 
 
 def tracked(people: int, *, swaps: float, seed: int) -> tuple[GroupResult, np.ndarray, float]:

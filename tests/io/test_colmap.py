@@ -17,7 +17,8 @@ from mocap_calib.io.cameras.common import COLMAP_LENSES
 from mocap_calib.io.cameras.read import load_cameras, make_rig
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.conversion import convert_cameras
-from mocap_calib.types import Camera, CameraRig, ObservedPoints
+from mocap_calib.results import ObservedPoints
+from mocap_calib.types import Camera, CameraRig
 
 PARAMETERS = {
     "SIMPLE_PINHOLE": [500, 321.25, 240.5],

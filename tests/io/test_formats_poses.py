@@ -24,7 +24,7 @@ from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.read import join_individuals, load_poses, parse_poses, read_poses
 from mocap_calib.io.poses.write import format_poses, write_poses
 from mocap_calib.io.registry import find_format
-from mocap_calib.types import Poses3D
+from mocap_calib.results import Poses3D
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "formats" / "samples"
 READ = [each for each in POSE_FORMATS if not each.only_written]

@@ -29,7 +29,8 @@ from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
 from mocap_calib.io.results.pairs_json import pairs_from_json, pairs_to_json
 from mocap_calib.io.results.poses_csv import check_poses_csv, poses_csv, write_poses_csv
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5, write_poses_h5
-from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Poses3D, Recording
+from mocap_calib.results import Matches, PairwiseCalibration, Poses3D
+from mocap_calib.types import Camera, CameraRig, Recording
 
 NAMES = ("left", "right, far", "3")
 FRAMES = np.array([2, 5, 40, 41])

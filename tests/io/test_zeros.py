@@ -15,7 +15,8 @@ from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
 from mocap_calib.io.poses.write import format_poses
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.types import Keypoints2D, PairwiseCalibration
+from mocap_calib.results import PairwiseCalibration
+from mocap_calib.types import Keypoints2D
 
 
 def view() -> Keypoints2D:

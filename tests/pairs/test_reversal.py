@@ -10,8 +10,9 @@ from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix
 from mocap_calib.pairs.affinity import body_agreement, nearest_reading, pose_error
 from mocap_calib.pairs.solve import calibrate_pair, pair_problem
 from mocap_calib.pairs.view_pair import are_flat, gather_view_pair
+from mocap_calib.results import LiftedPoses, PairwiseCalibration
 from mocap_calib.rig.associate import associate
-from mocap_calib.types import LiftedPoses, PairwiseCalibration, Sample, silent
+from mocap_calib.types import Sample, silent
 
 VIEWS, FRAMES = (0, 1), np.arange(2)
 

@@ -19,7 +19,8 @@ from mocap_calib.pairs.view_pair import MatchedRays
 from mocap_calib.paper.batch import PaperConfig
 from mocap_calib.paper.five_point import FivePointConfig, FivePointPairs
 from mocap_calib.paper.solver import PaperPairs
-from mocap_calib.types import PairwiseCalibration, Recording, silent
+from mocap_calib.results import PairwiseCalibration
+from mocap_calib.types import Recording, silent
 
 
 def test_refinement_finds_the_pose_among_gross_outliers():

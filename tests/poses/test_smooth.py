@@ -16,8 +16,9 @@ from mocap_calib.poses.fit import Strengths, fit
 from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.poses.start import bone_lengths, reach_of_bones, with_second_neighbours
 from mocap_calib.poses.track import Body, Detections, acceleration_steps
+from mocap_calib.results import POINT_SOURCES, Matches, Poses3D, Smoothing
 from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.types import POINT_SOURCES, Matches, Poses3D, Recording, Smoothing, World
+from mocap_calib.types import Recording, World
 from mocap_calib.world.moving import Similarity, move_rig
 
 HARD = {"missing": 0.3, "noise_px": 4.0}

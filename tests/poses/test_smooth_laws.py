@@ -15,8 +15,9 @@ from scenes import MIRROR, recording, scene, told, truth
 
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.poses import stage
+from mocap_calib.results import Matches, Poses3D, Smoothing
 from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.types import CameraRig, Matches, Poses3D, Recording, Smoothing
+from mocap_calib.types import CameraRig, Recording
 
 law = settings(max_examples=4, deadline=None, derandomize=True)
 SEEDS = st.integers(0, 2**32 - 1)

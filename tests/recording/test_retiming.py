@@ -19,7 +19,8 @@ from mocap_calib.recording.retiming import (
     retime,
 )
 from mocap_calib.recording.sampling import choose_stretches
-from mocap_calib.types import NO_FRAME, CameraClock, Clocks
+from mocap_calib.results import NO_FRAME, Clocks
+from mocap_calib.types import CameraClock
 
 
 def clock(name, kind="in step", **fields):

@@ -8,6 +8,7 @@ from scenes import lifted, recording, rotation_errors_deg, scene
 
 from mocap_calib.config import Config, ViewGraphConfig
 from mocap_calib.geometry.graphs import connected_parts
+from mocap_calib.results import LiftedPoses, PairwiseCalibration
 from mocap_calib.rig.averaging import average
 from mocap_calib.rig.large_rigs import (
     calibrate_view_graph,
@@ -17,7 +18,7 @@ from mocap_calib.rig.large_rigs import (
     takes_all_pairs,
 )
 from mocap_calib.rig.loops import select_hypotheses
-from mocap_calib.types import LiftedPoses, PairwiseCalibration, silent
+from mocap_calib.types import silent
 
 CONFIG = ViewGraphConfig()
 

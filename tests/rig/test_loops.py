@@ -8,10 +8,11 @@ import pytest
 from rig.test_graph import hypothesis
 
 from mocap_calib.config import AveragingConfig
+from mocap_calib.results import PairwiseCalibration
 from mocap_calib.rig.graph import camera_groups
 from mocap_calib.rig.loops import find_lost_cameras
 from mocap_calib.synthetic import ring_rig
-from mocap_calib.types import CameraRig, PairwiseCalibration
+from mocap_calib.types import CameraRig
 
 CONFIG = AveragingConfig()
 ROOMS = (12, 10)

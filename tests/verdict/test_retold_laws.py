@@ -28,9 +28,10 @@ from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.identities.track import finalise_identities
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.loading import load_lifter
+from mocap_calib.results import Matches, Uncertainty
 from mocap_calib.rig.associate import associate, have_same_groups
 from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.types import CameraRig, Matches, Uncertainty, silent
+from mocap_calib.types import CameraRig, silent
 from mocap_calib.verdict.uncertainty import assess_uncertainty
 
 law = settings(max_examples=4, deadline=None, derandomize=True)

@@ -22,9 +22,10 @@ from mocap_calib.adjust.rig_covariance import jackknife
 from mocap_calib.config import AveragingConfig, Config, TriangulateConfig
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.identities.bones import _medians
+from mocap_calib.results import Matches, PairwiseCalibration, Poses3D
 from mocap_calib.rig.averaging import average
 from mocap_calib.rig.triangulate import frame_blocks, triangulate
-from mocap_calib.types import CameraRig, Matches, PairwiseCalibration, Poses3D
+from mocap_calib.types import CameraRig
 from mocap_calib.verdict.evaluation import evaluate
 
 law = settings(max_examples=4, deadline=None, derandomize=True)

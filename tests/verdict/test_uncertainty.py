@@ -15,7 +15,8 @@ from mocap_calib.geometry.gauge import project_out_similarity, rig_change, rig_s
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.types import GroupResult, Matches, RigCovariance, Sample
+from mocap_calib.results import GroupResult, Matches, RigCovariance
+from mocap_calib.types import Sample
 from mocap_calib.verdict.uncertainty import assess_uncertainty
 
 SMALL = {"people": 1, "frames": 40, "false_detections": 0.0}

@@ -11,9 +11,8 @@ from scenes import calibrated
 
 from mocap_calib.config import Config
 from mocap_calib.recording.corrections import Cropped
-from mocap_calib.types import (
+from mocap_calib.results import (
     CalibrationResult,
-    CameraClock,
     Cause,
     Check,
     Clocks,
@@ -22,6 +21,7 @@ from mocap_calib.types import (
     Matches,
     Verdict,
 )
+from mocap_calib.types import CameraClock
 from mocap_calib.verdict.checks import CHECKS, check_rig
 from mocap_calib.verdict.verdict import _stands_still, assess, expected_error, judge
 

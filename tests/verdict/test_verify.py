@@ -13,7 +13,8 @@ from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.sampling import take_sample, with_cameras
-from mocap_calib.types import CameraRig, Verification, VerifiedCamera, silent
+from mocap_calib.results import Verification, VerifiedCamera
+from mocap_calib.types import CameraRig, silent
 from mocap_calib.verdict.verified import verification_to_dict
 from mocap_calib.verdict.verify import verify_rig
 from mocap_calib.verdict.verify_words import describe_move

@@ -6,7 +6,8 @@ from scenes import scene
 
 from mocap_calib.config import Config, FloorConfig
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
-from mocap_calib.types import Camera, CameraRig, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Camera, CameraRig
 from mocap_calib.world.body import find_joints
 from mocap_calib.world.floor import Floor, find_floor
 

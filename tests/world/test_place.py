@@ -17,7 +17,8 @@ from mocap_calib.io.landmarks_csv import read_landmarks
 from mocap_calib.io.poses import npz
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
-from mocap_calib.types import CameraRig, MeasuredCue, MeasuredLandmark, RigCovariance, World
+from mocap_calib.results import RigCovariance
+from mocap_calib.types import CameraRig, MeasuredCue, MeasuredLandmark, World
 from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
 from mocap_calib.world.asked import check_world
 from mocap_calib.world.body import find_joints

@@ -8,7 +8,7 @@ from mocap_calib.config import ADJUST_SOLVERS
 from mocap_calib_cli import options, values
 
 if TYPE_CHECKING:
-    from mocap_calib.types import CalibrationResult
+    from mocap_calib.results import CalibrationResult
     from mocap_calib_cli.progress import Reporter
 
 

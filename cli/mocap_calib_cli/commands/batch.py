@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mocap_calib.errors import MismatchError
     from mocap_calib.job.request import CalibrationRequest
     from mocap_calib.job.steps import Job
-    from mocap_calib.types import CalibrationResult
+    from mocap_calib.results import CalibrationResult
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.screen import Table
 
@@ -268,7 +268,7 @@ def _outcome_table(outcomes: Iterable[Outcome]) -> "Table":
 
 def _count_verdicts(outcomes: Iterable[Outcome]) -> dict[str, int]:
     """Return how many recordings have each verdict, and how many were refused."""
-    from mocap_calib.types import VERDICTS
+    from mocap_calib.results import VERDICTS
 
     found = [outcome["rig"] for outcome in outcomes]
     return {word: found.count(word) for word in (*VERDICTS, _REFUSED)}

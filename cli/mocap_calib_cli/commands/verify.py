@@ -9,7 +9,8 @@ import click
 from mocap_calib_cli import options, values
 
 if TYPE_CHECKING:
-    from mocap_calib.types import CameraRig, Verification
+    from mocap_calib.results import Verification
+    from mocap_calib.types import CameraRig
     from mocap_calib_cli.screen import Shown, Table
 
 _CALIBRATION = values.PathOf(

@@ -24,7 +24,8 @@ from mocap_calib.io.cameras.source import (
 from mocap_calib.io.registry import Written
 from mocap_calib.io.sandbox import call_elsewhere
 from mocap_calib.io.units import ARBITRARY
-from mocap_calib.types import CameraRig, ObservedPoints
+from mocap_calib.results import ObservedPoints
+from mocap_calib.types import CameraRig
 
 _BINARY, _TEXT = ".bin", ".txt"
 _CAMERAS, _IMAGES, _POINTS = "cameras", "images", "points3D"

@@ -25,7 +25,8 @@ from mocap_calib.io.cameras.common import (
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
 from mocap_calib.io.cameras.source import CameraFile, unique
 from mocap_calib.io.file import malformed
-from mocap_calib.types import Camera, ObservedPoints
+from mocap_calib.results import ObservedPoints
+from mocap_calib.types import Camera
 
 _LENGTHS_OF_QUATERNIONS = (0.5, 2.0)  # what rounding of a unit quaternion may leave, and more
 _REMEDY = "export the model again"

@@ -5,7 +5,8 @@ from typing import Any
 
 from mocap_calib.io.cameras.intrinsics import make_extrinsics
 from mocap_calib.io.cameras.source import CameraFile, Source, unique
-from mocap_calib.types import Camera, Floats, ObservedPoints
+from mocap_calib.results import ObservedPoints
+from mocap_calib.types import Camera, Floats
 
 # COLMAP's camera models that have a lens of ours, and whether that is cv2.fisheye's
 COLMAP_LENSES = {

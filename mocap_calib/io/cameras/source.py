@@ -18,7 +18,8 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.syntax import is_toml, parse_json, parse_toml, parse_yaml
 from mocap_calib.io.file import decode, find_repeated, malformed
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.types import Camera, CameraClock, CameraRig, Floats, ObservedPoints, World
+from mocap_calib.results import ObservedPoints
+from mocap_calib.types import Camera, CameraClock, CameraRig, Floats, World
 
 _BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
 _PARSERS = {"json": parse_json, "toml": parse_toml, "yaml": parse_yaml}

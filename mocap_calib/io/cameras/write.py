@@ -11,7 +11,8 @@ from mocap_calib.io.cameras.formats import CAMERA_FORMATS, FOLDER_ENDINGS
 from mocap_calib.io.provenance import describe_judgement
 from mocap_calib.io.registry import Written, find_format
 from mocap_calib.io.units import unit_factor
-from mocap_calib.types import CameraRig, ObservedPoints
+from mocap_calib.results import ObservedPoints
+from mocap_calib.types import CameraRig
 
 
 def format_rig(

@@ -22,7 +22,8 @@ from mocap_calib.io.poses.common import (
 )
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.units import ARBITRARY
-from mocap_calib.types import Floats, Ints, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Floats, Ints
 
 _FIELDS = ("x", "y", "z", "error", "ncams", "score")
 _FRAME = "fnum"

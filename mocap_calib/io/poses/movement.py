@@ -30,7 +30,8 @@ from mocap_calib.io.poses.common import (
     refuse_damage,
 )
 from mocap_calib.io.units import known_unit
-from mocap_calib.types import Floats, Ints, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Floats, Ints
 
 if TYPE_CHECKING:
     import xarray

@@ -30,7 +30,7 @@ from mocap_calib.io.poses.common import (
     refuse_damage,
 )
 from mocap_calib.io.units import known_unit
-from mocap_calib.types import Poses3D
+from mocap_calib.results import Poses3D
 
 _SERIES = "PoseEstimationSeries"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

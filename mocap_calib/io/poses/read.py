@@ -18,7 +18,7 @@ from mocap_calib.io.poses.formats import POSE_FORMATS, PoseFormat
 from mocap_calib.io.registry import find_format, read_names
 from mocap_calib.io.sandbox import call_contained
 from mocap_calib.io.units import ARBITRARY, refuse_unit
-from mocap_calib.types import Poses3D
+from mocap_calib.results import Poses3D
 
 
 def read_poses(path: str | Path, format: str | None = None, unit: str | None = None) -> Poses3D:

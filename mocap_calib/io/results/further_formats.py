@@ -15,7 +15,8 @@ from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import format_poses, write_poses
 from mocap_calib.io.registry import AnyFormat, find_format, written_names
 from mocap_calib.io.units import ARBITRARY
-from mocap_calib.types import CameraRig, ObservedPoints, Recording
+from mocap_calib.results import ObservedPoints
+from mocap_calib.types import CameraRig, Recording
 from mocap_calib.wording import describe_lost
 
 

@@ -15,7 +15,8 @@ from typing import Any, TypeVar, cast
 from mocap_calib.errors import FormatError
 from mocap_calib.io.atomic import write_bytes
 from mocap_calib.io.results.pairs_json import pair_fields, pair_from_fields
-from mocap_calib.types import Mapper, PairwiseCalibration
+from mocap_calib.results import PairwiseCalibration
+from mocap_calib.types import Mapper
 
 T = TypeVar("T")
 R = TypeVar("R")

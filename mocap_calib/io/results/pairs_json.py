@@ -16,7 +16,8 @@ from mocap_calib.io.cameras.intrinsics import (
 )
 from mocap_calib.io.file import malformed
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.types import Camera, PairwiseCalibration
+from mocap_calib.results import PairwiseCalibration
+from mocap_calib.types import Camera
 from mocap_calib.wording import one_line
 
 VERSION = 1

@@ -14,7 +14,8 @@ from mocap_calib.io.atomic import (
     write_pieces,
 )
 from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
-from mocap_calib.types import Floats, Poses3D
+from mocap_calib.results import Poses3D
+from mocap_calib.types import Floats
 
 _FIELDS = ("x", "y", "z", "error", "ncams", "score")  # of each keypoint
 
