@@ -18,7 +18,7 @@ import mocap_calib
 from mocap_calib import pipeline
 from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.poses.read import load_poses
-from mocap_calib.lift.loading import choose_model
+from mocap_calib.lift.weights import choose_model
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.results import Clocks
 from mocap_calib.types import AssumedCamera
@@ -228,7 +228,7 @@ def test_messages_name_arguments(tmp_path):
     read = partial(mocap_calib.read_recording, tmp_path / "keypoints")
     with pytest.raises(mocap_calib.MismatchError) as raised:
         read()
-    assert "say image_size={'a': (WIDTH, HEIGHT)}, or give the intrinsics with cameras=" in str(
+    assert "use image_size={'a': (WIDTH, HEIGHT)}, or give the intrinsics with cameras=" in str(
         raised.value
     )
     assert read(image_size={"a": (1280, 720), "b": (720, 1280)}).cameras[1].size == (720, 1280)

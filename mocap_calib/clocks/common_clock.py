@@ -7,9 +7,9 @@ from mocap_calib.clocks.frame_clocks import find_clocks
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.errors import MismatchError
+from mocap_calib.lift.lift import RememberedLift
 from mocap_calib.lift.lifter import Lifter
-from mocap_calib.lift.loading import AUTO, choose_model
-from mocap_calib.lift.remembered import RememberedLift
+from mocap_calib.lift.weights import AUTO, choose_model
 from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import choose_stretches, take_sample
 from mocap_calib.results import Clocks

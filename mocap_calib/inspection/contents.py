@@ -10,8 +10,7 @@ import numpy as np
 from mocap_calib.inspection.config import InspectConfig
 from mocap_calib.inspection.motion import measure_motion
 from mocap_calib.recording.joints import normalise_name
-from mocap_calib.recording.meanings import keypoint_meanings
-from mocap_calib.recording.pairing import views_named
+from mocap_calib.recording.names import keypoint_meanings, views_named
 from mocap_calib.types import Bools, Camera, Floats, Ints, Keypoints2D, Reals, Skeleton
 
 

@@ -15,13 +15,12 @@ from mocap_calib.inspection.motion import find_still_subjects
 from mocap_calib.inspection.two_views import find_poor_views
 from mocap_calib.recording.copies import find_copies
 from mocap_calib.recording.joints import SHIPPED
-from mocap_calib.recording.meanings import (
+from mocap_calib.recording.names import (
+    check_pixels,
     describe_unshared,
     keypoint_meanings,
     unshared_keypoints,
 )
-from mocap_calib.recording.pairing import check_pixels
-from mocap_calib.recording.repeated import find_repeated
 from mocap_calib.recording.sampling import choose_sample_frames
 from mocap_calib.recording.synchronise import (
     check_joints,
@@ -30,6 +29,7 @@ from mocap_calib.recording.synchronise import (
     largest_confidence,
     recording_of_views,
 )
+from mocap_calib.recording.views import find_repeated
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 from mocap_calib.wording import count
 

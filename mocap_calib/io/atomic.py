@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.recording.pairing import compose_name
+from mocap_calib.recording.names import compose_name
 
 
 @contextmanager

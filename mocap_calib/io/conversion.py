@@ -34,7 +34,7 @@ from mocap_calib.io.registry import (
     names_by_ending,
 )
 from mocap_calib.io.units import ARBITRARY, unit_factor
-from mocap_calib.recording.pairing import check_pixels
+from mocap_calib.recording.names import check_pixels
 from mocap_calib.types import Keypoints2D
 from mocap_calib.wording import count
 

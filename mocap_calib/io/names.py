@@ -1,7 +1,7 @@
 """The names of cameras, which are those of files or stand in them."""
 
 from mocap_calib.io.file import malformed
-from mocap_calib.recording.pairing import compose_name
+from mocap_calib.recording.names import compose_name
 
 
 def camera_name(name: str, source: str) -> str:

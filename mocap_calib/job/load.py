@@ -9,13 +9,13 @@ from mocap_calib.io.keypoints.filled_table import describe_filled
 from mocap_calib.io.keypoints.items import find_superseded_files
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.request import KeypointSource
+from mocap_calib.job.summary import RecordingSummary, summarise_recording
 from mocap_calib.lift.weights import load_vocabulary
-from mocap_calib.recording.assumed import ASSUMED_NOTE, assume_cameras
 from mocap_calib.recording.corrections import apply_mends
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
-from mocap_calib.recording.pairing import views_named
-from mocap_calib.recording.summary import RecordingSummary, summarise_recording
+from mocap_calib.recording.names import views_named
 from mocap_calib.recording.synchronise import join_views, recording_of_views
+from mocap_calib.recording.views import ASSUMED_NOTE, assume_cameras
 from mocap_calib.results import Clocks
 from mocap_calib.types import Keypoints2D, Recording, Skeleton
 

@@ -22,7 +22,7 @@ from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.job.request import CalibrationRequest
 from mocap_calib.job.results import UNFINISHED, remove_unfinished, write_result
 from mocap_calib.lift.lifter import Lifter
-from mocap_calib.lift.loading import load_model
+from mocap_calib.lift.weights import load_model
 from mocap_calib.pairs.solve import PairSolver, pair_mapper
 from mocap_calib.paper.solvers import choose_pair_solver
 from mocap_calib.pipeline import calibrate

@@ -1,17 +1,20 @@
-"""Lift every detection of a sample, each in a virtual camera that looks straight at it.
+"""Predict the 3D body of every detection of a sample from its view alone.
 
-How a body looks depends on the direction it is seen from, so the rays of each detection are turned
-into the axes of a virtual camera that looks at it, and the lifted body is turned back. Cameras
-stand upright or are turned by a quarter: each view is lifted in the quarter turn of the image under
-which the network is surest.
+The rays of each detection are rotated into a virtual camera that looks straight at it, and the
+predicted body is rotated back. Images may be rotated by quarter turns: each view is lifted in the
+quarter turn under which the network states the smallest standard deviations.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import (
+    COMPLETION_CONFIDENCE,
+    COMPLETION_SPREAD,
     LEAST_JOINTS,
     LIFT_BEST_PERCENTILE,
     LIFT_CONFIDENCE,
@@ -19,24 +22,25 @@ from mocap_calib.config import (
     LIFT_LEAST_FORWARD,
     LIFT_UPRIGHT_SAMPLE,
 )
+from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.synchronise import check_joints
+from mocap_calib.recording.views import split_by_view
 from mocap_calib.results import LiftedPoses
-from mocap_calib.types import Bools, Floats, Floats32, Ints, Progress, Sample
+from mocap_calib.types import Bools, Floats, Floats32, Ints, Keypoints2D, Progress, Sample, Skeleton
 
 _BLOCK = 128  # detections at a time
-# Parts in which a sample is lifted to tell whether a direction is down, in sixteenths: little more
-# than half tells of most that they are not.
+# Ends of the parts in which a sample is lifted under a direction of down, in sixteenths: most wrong
+# directions are refuted by little more than half of it.
 _RACE = np.arange(9, 17)
 
 # The directions in a view's image that may be down: as the camera says, or turned by quarters.
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
-@dataclass(frozen=True)
-class _Bodies:
+class _Bodies(NamedTuple):
     """Lifted detections, as in `LiftedPoses`.
 
     body: `[B, joint, 3]`; centre: `[B, 3]`; spread: `[B, joint]`.
@@ -52,13 +56,12 @@ class _Bodies:
 
     def put(self, index: Ints, found: "_Bodies") -> None:
         """Set the detections of an index `[N]`."""
-        self.body[index] = found.body
-        self.centre[index] = found.centre
-        self.spread[index] = found.spread
+        for values, of_index in zip(self, found, strict=True):
+            values[index] = of_index
 
 
 def lift(sample: Sample, lifter: Lifter, *, progress: Progress) -> LiftedPoses:
-    """Lift all detections that surely show at least four joints of the model's vocabulary.
+    """Lift all detections with at least four confident joints of the model's vocabulary.
 
     The lifted body (E[X | p] of `model.py`) is freed of the virtual camera and scaled to unit size;
     its centre is where perspective puts it, in body sizes.
@@ -72,11 +75,7 @@ def lift(sample: Sample, lifter: Lifter, *, progress: Progress) -> LiftedPoses:
     lifting = _Lifting(rays[enough], lifter, progress)
     with single_threaded_libraries():
         bodies = lifting.lift_views(np.nonzero(enough)[0])
-    return LiftedPoses(
-        body=_spread_out(bodies.body, enough),
-        centre=_spread_out(bodies.centre, enough),
-        spread=_spread_out(bodies.spread, enough),
-    )
+    return LiftedPoses(*(_spread_out(values, enough) for values in bodies))
 
 
 def _spread_out(values: Floats, enough: Bools) -> Floats:
@@ -87,10 +86,10 @@ def _spread_out(values: Floats, enough: Bools) -> Floats:
 
 
 def _confident_rays(sample: Sample) -> Floats:
-    """Return the rays `[view, frame, instance, keypoint, 3]` worth lifting, NaN elsewhere.
+    """Return the rays `[view, frame, instance, keypoint, 3]` of confident joints, NaN elsewhere.
 
-    Detectors also report, with little confidence, joints that they do not see; the network has
-    learnt joints that are seen or not.
+    Detectors report hidden joints with low confidence; the network was trained on joints that are
+    either seen or missing.
     """
     best = np.array([_best_confidence(confidence) for confidence in sample.confidence])
     least = LIFT_CONFIDENCE * best[:, None, None, None]
@@ -99,7 +98,7 @@ def _confident_rays(sample: Sample) -> Floats:
 
 
 def _best_confidence(confidence: Floats) -> float:
-    """Return the confidence that a view reaches at its best, 1 where it sees nothing."""
+    """Return a high percentile of the confidences of a view, 1 where it has no detection."""
     positive = confidence[confidence > 0]
     return float(np.percentile(positive, LIFT_BEST_PERCENTILE)) if len(positive) else 1.0
 
@@ -127,9 +126,8 @@ class _Lifting:
     def lift_views(self, view: Ints) -> _Bodies:
         """Return the lifted bodies, in each view with its own direction of down.
 
-        That is the direction under which the network is surest of a sample of its detections, of
-        which the median counts. Smaller samples chose wrongly in real recordings, however clear
-        their answer was.
+        That is the direction with the smallest median standard deviation over a sample of its
+        detections. Smaller samples chose wrongly in real recordings.
 
         view: `[B]` in which each detection is.
         """
@@ -169,10 +167,10 @@ class _Lifting:
             self._progress("lift", self._done, len(self._rays))
 
     def _race(self, entry: tuple[Ints, Floats, float]) -> _Bodies | None:
-        """Lift a sample under a direction of down, unless its median is sure to be above another.
+        """Lift a sample under a direction of down; stop once its median is sure to be too large.
 
         entry: the index of the sample, the direction, and the median that it has to be below.
-        It is lost when the network is less sure of more than half of the joints.
+        Returns None when more than half of the joints have a larger standard deviation.
         """
         index, down, least = entry
         parts: list[_Bodies] = []
@@ -182,11 +180,7 @@ class _Lifting:
             less_sure += int((parts[-1].spread >= least).sum())
             if 2 * less_sure > len(index) * self._rays.shape[1]:
                 return None
-        return _Bodies(
-            body=np.concatenate([part.body for part in parts]),
-            centre=np.concatenate([part.centre for part in parts]),
-            spread=np.concatenate([part.spread for part in parts]),
-        )
+        return _Bodies(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _lift_rays(rays: Floats, down: Floats, lifter: Lifter) -> _Bodies:
@@ -194,7 +188,9 @@ def _lift_rays(rays: Floats, down: Floats, lifter: Lifter) -> _Bodies:
     seen = np.isfinite(rays[..., 0])
     virtual_from_camera = looking_along(np.nansum(rays, axis=1), down)
     image = _project(rays, seen, virtual_from_camera)
-    joints, deviation = _apply_network(image, seen, lifter)
+    found, log_deviation = lifter(_normalise(image, seen), seen)
+    joints = found.astype(np.float64)
+    deviation = np.exp(log_deviation.astype(np.float64))  # [B, J, 2] across and along the ray
     body = joints - joints.mean(1, keepdims=True)
     size = np.sqrt((body**2).sum(-1).mean(-1))[:, None]
     body = body / size[..., None]
@@ -211,15 +207,6 @@ def _project(rays: Floats, seen: Bools, virtual_from_camera: Floats) -> Floats:
     known = np.where(seen[..., None], rays, [0.0, 0.0, 1.0])
     turned = known @ np.swapaxes(virtual_from_camera, 1, 2)
     return turned[..., :2] / np.maximum(turned[..., 2:], LIFT_LEAST_FORWARD)
-
-
-def _apply_network(image: Floats, seen: Bools, lifter: Lifter) -> tuple[Floats, Floats]:
-    """Return joints `[B, J, 3]` and their standard deviations `[B, J, 2]` across and along the ray.
-
-    image: `[B, J, 2]` normalised image points in the virtual cameras; seen: `[B, J]`.
-    """
-    joints, log_deviation = lifter(_normalise(image, seen), seen)
-    return joints.astype(np.float64), np.exp(log_deviation.astype(np.float64))
 
 
 def _normalise(image: Floats, seen: Bools) -> Floats32:
@@ -253,3 +240,84 @@ def _centre(body: Floats, image: Floats, seen: Bools) -> Floats:
     depth = np.maximum(-covariance / np.maximum(variance, 1e-18), LIFT_LEAST_DEPTH)
     across = mean_offset + mean_image * depth[:, None]
     return np.concatenate([across, depth[:, None]], axis=1)
+
+
+@dataclass
+class RememberedLift:
+    """Lifts samples as `lift` does; one that equals the last one is not lifted again."""
+
+    lifter: Lifter
+    progress: Progress
+    _last: list[tuple[Sample, LiftedPoses]] = field(default_factory=list, init=False)
+
+    def __call__(self, sample: Sample) -> LiftedPoses:
+        """Return the lifted detections of a sample. Raises what `lift` raises."""
+        if not self._last or self._last[0][0] != sample:
+            lifted = lift(sample, self.lifter, progress=self.progress)
+            self._last = [(sample, lifted)]
+        return self._last[0][1]
+
+
+def complete_sample(
+    sample: Sample, lifted: LiftedPoses, vocabulary: Skeleton
+) -> tuple[Keypoints2D, ...]:
+    """Complete the missing joints of the detections of a sample in their images.
+
+    Returns the keypoints of each view, which are the joints of the model. Detected joints stay
+    unchanged. The others are projected from the lifted body (appendix D of Lee et al., BMVC 2025),
+    with a confidence of at most half of the detection's mean, less for uncertain joints. Detections
+    that were not lifted stay incomplete.
+
+    vocabulary: of the model that lifted the sample.
+    """
+    known = sample.vocabulary >= 0
+    joints = sample.vocabulary[known]
+    seen: Bools = sample.seen[..., known]
+    positions = _project_lifted(sample, lifted)
+    confidence = _confidence_of_lifted(sample, lifted)
+    positions[..., joints, :] = np.where(
+        seen[..., None], sample.positions[..., known, :], positions[..., joints, :]
+    )
+    confidence[..., joints] = np.where(seen, sample.confidence[..., known], confidence[..., joints])
+    present = np.isfinite(positions).all(-1) & (confidence > 0)
+    return split_by_view(
+        sample.cameras,
+        keypoints=vocabulary.keypoints,
+        frames=sample.frames,
+        positions=np.where(present[..., None], positions, np.nan),
+        confidence=np.where(present, confidence, 0.0),
+        tracked=sample.tracked,
+        source="completed",
+    )
+
+
+def find_completed(sample: Sample, views: Sequence[Keypoints2D]) -> Bools:
+    """Return which points `[view, frame, instance, keypoint]` were completed.
+
+    sample: that was completed. views: what `complete_sample` returned.
+    """
+    known = sample.vocabulary >= 0
+    present = np.stack([np.isfinite(view.positions[..., 0]) for view in views])
+    seen = np.zeros_like(present)
+    seen[..., sample.vocabulary[known]] = sample.seen[..., known]
+    completed: Bools = present & ~seen
+    return completed
+
+
+def _project_lifted(sample: Sample, lifted: LiftedPoses) -> Floats:
+    """Return the pixels `[view, frame, instance, joint, 2]` of the lifted bodies."""
+    points = lifted.body + lifted.centre[..., None, :]
+    return np.stack(
+        [
+            pixels_from_points(camera, points_in_camera)
+            for camera, points_in_camera in zip(sample.cameras, points, strict=True)
+        ]
+    )
+
+
+def _confidence_of_lifted(sample: Sample, lifted: LiftedPoses) -> Floats:
+    """Return the confidence `[view, frame, instance, joint]` of completed joints."""
+    seen_keypoints = np.maximum(sample.seen.sum(-1), 1)
+    mean_confidence = sample.confidence.sum(-1) / seen_keypoints  # [view, frame, instance]
+    certainty = np.exp(-lifted.spread / COMPLETION_SPREAD)
+    return COMPLETION_CONFIDENCE * mean_confidence[..., None] * certainty

@@ -1,7 +1,7 @@
-"""Cameras that were moved: which of them holds from which frame on.
+"""Epochs: the parts of a recording between two moves of a camera.
 
-A camera that was moved is two views: `cam2` up to a frame, and `cam2@573` from frame 573 on. What
-is written has it once, under its own name, and a rig for each epoch of the recording.
+A camera that was moved is two views: `cam2` up to a frame, and `cam2@573` from frame 573 on. Files
+list it once, under its own name, with one rig for each epoch of the recording.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ from mocap_calib.types import Camera, CameraRig, Ints, Recording
 class Epoch:
     """A part of a recording in which no camera is moved.
 
-    first, last: frame numbers. views: `[camera]` indices of the views that hold then.
-    names: of the cameras, their own. moved: names of those that were moved at the first frame.
+    first, last: frame numbers. views: `[camera]` indices of the views that are valid in it.
+    names: of the cameras. moved: names of the cameras that were moved at the first frame.
     """
 
     first: int
@@ -35,7 +35,7 @@ def epoch_folder(number: int) -> str:
 
 
 def own_name(view: str, views: Sequence[str]) -> str:
-    """Return the name of the camera that a view is of: its own, unless it is a later epoch.
+    """Return the name of the camera of a view, without the frame of its epoch.
 
     views: names of all. The camera up to its first move must be among them.
     """
@@ -44,12 +44,12 @@ def own_name(view: str, views: Sequence[str]) -> str:
 
 
 def own_names(views: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the cameras that views are of, each once."""
+    """Return the names of the cameras of views, each once."""
     return tuple(dict.fromkeys(own_name(view, views) for view in views))
 
 
 def views_by_camera(views: Sequence[str]) -> dict[str, list[int]]:
-    """Return the indices of the views of each camera, by its own name.
+    """Return the indices of the views of each camera, by its name.
 
     views: names.
     """
@@ -96,7 +96,7 @@ def describe_epochs(views: Sequence[str], frames: Ints) -> list[dict[str, Any]]:
 
 
 def recording_of_epoch(recording: Recording, epoch: Epoch) -> Recording:
-    """Return the views that hold in an epoch, in its frames, under the cameras' own names."""
+    """Return the recording of an epoch, with the cameras under their own names."""
     if epoch.names == recording.names:
         return recording
     frames = (recording.frames >= epoch.first) & (recording.frames <= epoch.last)
@@ -105,7 +105,7 @@ def recording_of_epoch(recording: Recording, epoch: Epoch) -> Recording:
 
 
 def rig_of_epoch(rig: CameraRig, epoch: Epoch) -> CameraRig:
-    """Return the cameras of a rig where they stand in an epoch, under their own names."""
+    """Return the rig of an epoch, with the cameras under their own names."""
     if epoch.names == rig.names:
         return rig
     part = rig.select(epoch.views)
@@ -121,12 +121,12 @@ def _name_cameras(cameras: tuple[Camera, ...], epoch: Epoch) -> tuple[Camera, ..
 
 
 def _start_of(view: str, views: Sequence[str]) -> int | float:
-    """Return the frame number from which on a view holds, -inf for the first of a camera."""
+    """Return the first frame number of a view's epoch, -inf for the first view of a camera."""
     name, start = _split_name(view)
     return -np.inf if start is None or name not in views else start
 
 
 def _split_name(view: str) -> tuple[str, int | None]:
-    """Return the name of the camera of a view, and the frame from which on it holds, if any."""
+    """Return the name of the camera of a view, and the first frame of its epoch, if any."""
     name, mark, start = view.rpartition(EPOCH_MARK)
     return (name, int(start)) if mark and start.isascii() and start.isdigit() else (view, None)

@@ -1,7 +1,4 @@
-"""Vocabularies of joints: reading them, and matching other names to them.
-
-Lives below `io` because the readers and the model both need it.
-"""
+"""Skeletons: read their files, and match the keypoint names of data sets to their joints."""
 
 import re
 from collections.abc import Container, Iterable, Mapping, Set
@@ -15,14 +12,11 @@ import numpy as np
 import yaml
 
 from mocap_calib.errors import FormatError
-from mocap_calib.recording.skeleton_fields import parse_skeleton, strings
 from mocap_calib.types import Ints, Skeleton
 from mocap_calib.wording import one_line
 
 # the first of those that know a recording equally well is chosen
 SHIPPED = ("people", "quadruped", "rodent", "bird")
-# in C, where PyYAML has it; for our own files, as it may crash on what is nested deeply
-_FAST_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 # between `aB`, between `L` and `Ab`, and at spaces and marks
 _WORD_BREAK = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[LR])(?=[A-Z][a-z])|[\s\-.()]+")
@@ -32,7 +26,7 @@ _WORD_BREAK = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[LR])(?=[A-Z][a-z])|[\s\-.
 
 
 def normalise_name(name: str) -> str:
-    """Return a name in small letters, words joined by `_`, the side first.
+    """Return a name in lower case, words joined by `_`, the side first.
 
     `LShoulder`, `shoulder_l`, `Left Shoulder`, `leftShoulder` -> `left_shoulder`.
     """
@@ -44,10 +38,10 @@ def normalise_name(name: str) -> str:
 
 
 def match_names(names: tuple[str, ...], skeleton: Skeleton) -> Ints:
-    """Return the index `[keypoint]` in the skeleton of each name, -1 where it has no such joint.
+    """Return the index `[keypoint]` of each name's joint in the skeleton, -1 = no such joint.
 
-    The layouts whose names all occur say what theirs mean, then the skeleton's own names count,
-    then aliases. Of several aliases of one joint, the first counts.
+    Names are looked up in the layouts whose names all occur, then among the skeleton's own joints,
+    then among its aliases. Of several aliases of one joint, the first is used.
     """
     own_names = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
     aliases = _index_joints(skeleton.aliases, own_names)
@@ -70,9 +64,9 @@ def _index_joints(joints: Mapping[str, str], index: Mapping[str, int]) -> dict[s
 
 
 def _spell_as_known(name: str, known: Set[str]) -> str:
-    """Return the normalised name, its side taken off where the rest is known only so.
+    """Return the normalised name, its side split off if only that spelling is known.
 
-    `leye` and `leftshoulder` can be taken apart with a list of joints alone.
+    `leye` and `leftshoulder` can be split only with a list of joints.
     """
     normalised = normalise_name(name)
     sided = [
@@ -110,15 +104,7 @@ def load_skeleton(name_or_path: str | Path) -> Skeleton:
 
     Raises FormatError.
     """
-    if name_or_path in SHIPPED:
-        return _load_shipped(str(name_or_path))
     return parse_skeleton(_read_fields(name_or_path), str(name_or_path))
-
-
-@cache
-def _load_shipped(name: str) -> Skeleton:
-    """Return a skeleton that is shipped; it is read once."""
-    return parse_skeleton(_read_fields(name), name)
 
 
 def load_section(name_or_path: str | Path, section: str) -> dict[str, Any]:
@@ -139,13 +125,8 @@ def load_section(name_or_path: str | Path, section: str) -> dict[str, Any]:
 
 
 def choose_skeleton(names: Iterable[str]) -> Skeleton:
-    """Return the shipped skeleton that knows most of the names; people where none knows more."""
-    unique = tuple(dict.fromkeys(names))
-
-    def known(skeleton: Skeleton) -> int:
-        return int((match_names(unique, skeleton) >= 0).sum())
-
-    return max((load_skeleton(name) for name in SHIPPED), key=known)
+    """Return the shipped skeleton with most of the names; `people` if none has more."""
+    return fit_vocabulary(names, aliases_file=None)[0]
 
 
 def edges_of_keypoints(skeleton: Skeleton, vocabulary: Ints) -> tuple[tuple[int, int], ...]:
@@ -153,9 +134,9 @@ def edges_of_keypoints(skeleton: Skeleton, vocabulary: Ints) -> tuple[tuple[int,
 
     vocabulary: `[keypoint]` index of each keypoint in the skeleton, -1 = none.
 
-    A joint that the recording lacks is passed over: what hangs on it hangs on the joint above.
-    Where there is none above, left and right are joined, and each side to the next of its side
-    (the shoulders and hips of a recording without neck and pelvis).
+    A joint that the recording lacks is skipped: its children are joined to its nearest ancestor in
+    the recording. Where there is none, left and right are joined, and each side to the next pair of
+    the same side (the shoulders and hips of a recording without neck and pelvis).
     """
     keypoints = {int(joint): k for k, joint in enumerate(vocabulary) if joint >= 0}
     parents = {child: parent for parent, child in skeleton.edges}
@@ -173,9 +154,9 @@ def edges_of_keypoints(skeleton: Skeleton, vocabulary: Ints) -> tuple[tuple[int,
 
 
 def _nearest_above(joint: int, parents: Mapping[int, int], known: Container[int]) -> int:
-    """Return the nearest joint above that is known, -1 where there is none.
+    """Return the nearest ancestor of a joint that is known, -1 = none.
 
-    parents: of each joint that has one. A skeleton of a user may go in circles.
+    parents: of each joint that has one. The edges of a user's skeleton may form a cycle.
     """
     above = joint
     for _ in parents:
@@ -187,21 +168,90 @@ def _nearest_above(joint: int, parents: Mapping[int, int], known: Container[int]
 
 def _read_fields(name_or_path: str | Path) -> Any:
     """Return what a skeleton's file holds. Raises FormatError."""
-    text = _skeleton_text(name_or_path)
-    if name_or_path in SHIPPED:
-        return yaml.load(text, _FAST_LOADER)
-    return _read_yaml(text, f"skeleton {name_or_path}")
+    name = str(name_or_path)
+    if name in SHIPPED:
+        return _read_shipped(name)
+    source = f"skeleton {name}"
+    if not Path(name).is_file():
+        raise FormatError(
+            f"{source}: expected the name of a shipped one or a YAML file, found neither"
+        )
+    return _read_yaml(Path(name).read_bytes(), source)
 
 
-def _skeleton_text(name_or_path: str | Path) -> str | bytes:
-    """Return the text of a shipped skeleton, the bytes of a user's file. Raises FormatError."""
-    shipped = resources.files("mocap_calib") / "skeletons" / f"{name_or_path}.yaml"
-    if shipped.is_file():
-        return shipped.read_text("utf-8")
-    if Path(name_or_path).is_file():
-        return Path(name_or_path).read_bytes()
-    source = f"skeleton {name_or_path}"
-    raise FormatError(f"{source}: expected the name of a shipped one or a YAML file, found neither")
+@cache
+def _read_shipped(name: str) -> Any:
+    """Return what the file of a shipped skeleton holds; it is read once."""
+    text = (resources.files("mocap_calib") / "skeletons" / f"{name}.yaml").read_text("utf-8")
+    # in C, where PyYAML has it; for our own files alone, as it may crash on deep nesting
+    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
+def _read_yaml(text: str | bytes, source: str) -> Any:
+    """Return what a YAML text holds. Raises FormatError."""
+    try:
+        return yaml.safe_load(text)
+    # dates and numbers that are none are ValueErrors, keys that are lists TypeErrors
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
+        reason = str(error).splitlines()[0]
+        raise FormatError(
+            f"{source}: expected a YAML file, found an error ({reason}); correct that place"
+        ) from None
+
+
+def parse_skeleton(fields: Any, source: str) -> Skeleton:
+    """Return a skeleton from the fields of its YAML file. Raises FormatError."""
+    if not isinstance(fields, dict) or not isinstance(fields.get("keypoints"), list):
+        raise FormatError(
+            f"skeleton {source}: expected a mapping with a list `keypoints`; see docs/skeletons.md"
+        )
+    try:
+        return _parse_skeleton(fields, source)
+    except (ValueError, TypeError, AttributeError, LookupError) as error:
+        raise FormatError(
+            f"skeleton {source}: expected edges, aliases and layouts as docs/skeletons.md has "
+            f"them, found an error ({one_line(error)}); correct that place"
+        ) from None
+
+
+def _parse_skeleton(fields: Mapping[str, Any], source: str) -> Skeleton:
+    """Return the skeleton. Raises FormatError, and what Python raises of other types."""
+    keypoints = tuple(str(name) for name in fields["keypoints"])
+    aliases = _strings(fields.get("aliases") or {})
+    layouts = tuple(_strings(layout) for layout in (fields.get("layouts") or {}).values())
+    edges = [tuple(map(str, edge)) for edge in fields.get("edges") or []]
+
+    named = {name for edge in edges for name in edge}
+    named |= {joint for renaming in (aliases, *layouts) for joint in renaming.values()}
+    strangers = sorted(named - set(keypoints))
+    if strangers:
+        found = one_line(", ".join(strangers), width=200)
+        raise FormatError(
+            f"skeleton {source}: edges, aliases or layouts name {found}, "
+            "expected only its own keypoints"
+        )
+    index = {name: k for k, name in enumerate(keypoints)}
+    return Skeleton(
+        name=str(fields.get("name", source)),
+        keypoints=keypoints,
+        edges=tuple((index[parent], index[child]) for parent, child in edges),
+        symmetries=_symmetries(keypoints),
+        aliases=aliases,
+        layouts=layouts,
+    )
+
+
+def _strings(mapping: Mapping[Any, Any]) -> dict[str, str]:
+    """Return a mapping of a YAML file as strings; YAML may read names as numbers."""
+    return {str(name): str(joint) for name, joint in mapping.items()}
+
+
+def _symmetries(keypoints: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    """Return the index pairs (left, right) of keypoints `left...` and `right...`."""
+    index = {name: k for k, name in enumerate(keypoints)}
+    left_names = [name for name in keypoints if name.startswith("left")]
+    mirrored = [(name, "right" + name.removeprefix("left")) for name in left_names]
+    return tuple((index[left], index[right]) for left, right in mirrored if right in index)
 
 
 # --- a user's own names
@@ -228,7 +278,7 @@ def load_aliases(path: Path, skeleton: Skeleton) -> dict[str, str]:
 def fit_vocabulary(
     names: Iterable[str], aliases_file: Path | None
 ) -> tuple[Skeleton, dict[str, str]]:
-    """Return the shipped skeleton that knows most of the joints, and the aliases of a file.
+    """Return the shipped skeleton with most of the joints, and the aliases of a file.
 
     names: of the joints; repeated ones count once. aliases_file: other names of joints, as
     `load_aliases` reads them; a skeleton that lacks one of these joints is not considered.
@@ -236,25 +286,25 @@ def fit_vocabulary(
     Raises FormatError where no skeleton has the joints of the file.
     """
     unique = tuple(dict.fromkeys(names))
-    if aliases_file is None:
-        return choose_skeleton(unique), {}
     candidates: list[tuple[Skeleton, dict[str, str]]] = []
     refusals: list[FormatError] = []
     for skeleton in map(load_skeleton, SHIPPED):
         try:
-            candidates.append((skeleton, load_aliases(aliases_file, skeleton)))
+            aliases = {} if aliases_file is None else load_aliases(aliases_file, skeleton)
         except FormatError as error:
             refusals.append(error)
+        else:
+            candidates.append((skeleton, aliases))
     if not candidates:
         raise refusals[0]
-    known = [_count_known(unique, skeleton, aliases) for skeleton, aliases in candidates]
-    return candidates[known.index(max(known))]
 
+    def known(candidate: tuple[Skeleton, dict[str, str]]) -> int:
+        """Return how many names are joints of a skeleton, after the aliases were applied."""
+        skeleton, aliases = candidate
+        joints = tuple(aliases.get(name, name) for name in unique)
+        return int((match_names(joints, skeleton) >= 0).sum())
 
-def _count_known(names: tuple[str, ...], skeleton: Skeleton, aliases: dict[str, str]) -> int:
-    """Return how many names the skeleton knows, after the aliases were applied."""
-    joints = tuple(aliases.get(name, name) for name in names)
-    return int((match_names(joints, skeleton) >= 0).sum())
+    return max(candidates, key=known)
 
 
 def _read_aliases(path: Path) -> dict[str, str]:
@@ -274,16 +324,4 @@ def _read_aliases(path: Path) -> dict[str, str]:
             f"{path}: expected a mapping `aliases` of own names to joints, found none; "
             "write for instance `aliases: {beak: nose}`"
         )
-    return strings(found)
-
-
-def _read_yaml(text: str | bytes, source: str) -> Any:
-    """Return what a YAML text holds. Raises FormatError."""
-    try:
-        return yaml.safe_load(text)
-    # dates and numbers that are none are ValueErrors, keys that are lists TypeErrors
-    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
-        reason = str(error).splitlines()[0]
-        raise FormatError(
-            f"{source}: expected a YAML file, found an error ({reason}); mend that place"
-        ) from None
+    return _strings(found)

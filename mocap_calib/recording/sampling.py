@@ -1,9 +1,7 @@
-"""Choose which frames of a recording are worked on.
+"""Choose the frames of a recording from which the rig is calibrated.
 
-Of a short recording these are all but the overcrowded frames, and of a long one a fixed number
-that shows everything. Cameras stand where they stand however long the recording is, so
-calibration looks at a sample whose size does not grow; only labels and 3D poses are made of all
-frames, and those in blocks.
+All frames of a short recording except overcrowded ones; of a long one a fixed number that covers
+the images and the pairs of views. Labels and 3D poses are made for all frames, in blocks.
 """
 
 from dataclasses import replace
@@ -25,8 +23,8 @@ def evenly_spaced(values: Ints, count: int) -> Ints:
 def take_sample(recording: Recording, index: Ints | slice) -> Sample:
     """Return some frames in double precision, with their rays.
 
-    The sample has as many instances as these frames show. What the lens model cannot undo is no
-    detection.
+    The sample has as many instances as these frames need. Detections that the lens model cannot
+    undistort are left out.
 
     index: `[frame]` indices of the frames (not numbers), or a slice.
     """
@@ -48,7 +46,7 @@ def take_sample(recording: Recording, index: Ints | slice) -> Sample:
 
 
 def _count_instances(positions: Reals) -> int:
-    """Return how many instances `[view, frame, instance, keypoint, 2]` have room for all shown."""
+    """Return the most instances of a frame, of positions `[view, frame, instance, keypoint, 2]`."""
     for last in range(positions.shape[2] - 1, 0, -1):
         if np.isfinite(positions[:, :, last]).any():
             return last + 1
@@ -56,9 +54,9 @@ def _count_instances(positions: Reals) -> int:
 
 
 def with_cameras(sample: Sample, cameras: tuple[Camera, ...]) -> Sample:
-    """Return the sample as seen by cameras of other intrinsics, with its rays.
+    """Return the sample with the rays of other intrinsics.
 
-    What the lens model cannot undo is no detection.
+    Detections that the lens model cannot undistort are left out.
     """
     views, *rest, _ = sample.positions.shape
     pixels = sample.positions.reshape(views, -1, 2)
@@ -74,12 +72,12 @@ def with_cameras(sample: Sample, cameras: tuple[Camera, ...]) -> Sample:
 def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     """Return the indices `[frame]` of the frames that calibration looks at, ascending.
 
-    They are all frames that are not overcrowded, or as many as the budget allows: each the one
-    that adds most to what the others show, which are places in each image and pairs of views that
-    see somebody together. What has been shown often counts less and less.
+    They are all frames that are not overcrowded, or as many as the budget allows, chosen greedily:
+    the next frame is the one that adds most coverage, of cells of each image and of pairs of views
+    with simultaneous detections. What is covered often counts less and less.
 
-    Frames with several times the usual number of detections are left out: all arrays would be as
-    large as theirs, and most of what they show is false.
+    Frames with several times the usual number of detections are left out: they would set the size
+    of all arrays, and most of their detections are false.
     """
     uncrowded = _uncrowded_frames(recording, config)
     candidates = evenly_spaced(uncrowded, config.candidates * config.frames)
@@ -99,19 +97,19 @@ def _uncrowded_frames(recording: Recording, config: SampleConfig) -> Ints:
 
 
 def _frame_budget(recording: Recording, config: SampleConfig) -> int:
-    """Return how many frames have as many detections in all views as calibration looks at."""
+    """Return how many frames together have the number of detections that calibration needs."""
     wanted = _frames_with(recording, config.detections)
     return int(np.clip(wanted, config.least_frames, config.frames))
 
 
 def _frames_with(recording: Recording, detections: int) -> float:
-    """Return how many frames have so many detections in all views together, on average."""
+    """Return in how many frames there are so many detections of all views, on average."""
     in_frame = recording.detected.sum() / max(len(recording.frames), 1)
     return float(detections / max(in_frame, 1.0))
 
 
 def _choose_covering(shown: Floats, count: int) -> Bools:
-    """Return `[frame]` which of the frames are taken, one by one by what they add.
+    """Return `[frame]` which frames are chosen, one by one by the coverage that they add.
 
     shown: `[frame, feature]` 1 where a frame shows a feature.
     """
@@ -131,8 +129,8 @@ def _choose_covering(shown: Floats, count: int) -> Bools:
 def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
     """Return `[frame, feature]` 1 where a frame shows a feature, else 0.
 
-    Features are the cells of each image in which there are detections, and the pairs of views that
-    see somebody together.
+    Features are the cells of each image with detections, and the pairs of views with simultaneous
+    detections.
     """
     detected = recording.detected
     features: list[Bools] = []
@@ -192,5 +190,5 @@ def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
 
 
 def usual_step(frames: Ints) -> int:
-    """Return by how much frame numbers `[frame]` go up mostly: these frames follow each other."""
+    """Return the usual difference of successive frame numbers `[frame]`."""
     return max(1, int(np.median(np.diff(frames)))) if len(frames) > 1 else 1

@@ -15,9 +15,13 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.recording.copies import check_copies
 from mocap_calib.recording.joints import normalise_name
-from mocap_calib.recording.meanings import keypoint_meanings, shared_keypoints
-from mocap_calib.recording.pairing import match_cameras, pair_with_cameras
-from mocap_calib.recording.repeated import find_repeated
+from mocap_calib.recording.names import (
+    keypoint_meanings,
+    match_cameras,
+    pair_with_cameras,
+    shared_keypoints,
+)
+from mocap_calib.recording.views import find_repeated
 from mocap_calib.types import (
     Bools,
     Camera,

@@ -1,12 +1,21 @@
-"""Split arrays of all views into what a file of each view holds."""
+"""The keypoints of single views: made from arrays, their assumed cameras, repeated detections."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mocap_calib.config import (
+    ASSUMED_REFINEMENT,
+    DEFAULT_FOCAL,
+    REFINEMENTS,
+    IntrinsicsConfig,
+    Refinement,
+)
+from mocap_calib.errors import MismatchError
 from mocap_calib.records import as_array, check_names
-from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, Reals
+from mocap_calib.types import AssumedCamera, Bools, Camera, Ints, Keypoints2D, Reals
 
 
 def views_from_arrays(
@@ -18,10 +27,10 @@ def views_from_arrays(
     frames: ArrayLike | None,
     tracked: bool,
 ) -> tuple[Keypoints2D, ...]:
-    """Return what files would hold of the arrays of a user, see `Recording.from_arrays`.
+    """Return the keypoints of each view from arrays of all views, see `Recording.from_arrays`.
 
-    A point is missing where its position or its confidence is; without confidences those that are
-    there have 1.
+    A point is missing where its position is NaN or its confidence 0; without confidences, the
+    confidence of each detected point is 1.
 
     Raises ValueError for arrays of other shapes, for frames that do not ascend and for names that
     occur twice.
@@ -62,7 +71,7 @@ def split_by_view(
     tracked: Bools,
     source: str,
 ) -> tuple[Keypoints2D, ...]:
-    """Return what the files of the views hold, in the order of the cameras.
+    """Return the keypoints of each view, in the order of the cameras.
 
     keypoints: `[keypoint]` names. frames: `[frame]` numbers, the same in all views.
     positions: `[view, frame, instance, keypoint, 2]` pixels, NaN = missing.
@@ -83,3 +92,87 @@ def split_by_view(
         )
         for view, camera in enumerate(cameras)
     )
+
+
+ASSUMED_NOTE = (
+    "no intrinsics were given: focal lengths and lenses are estimated together with the rig"
+)
+
+
+def assume_cameras(views: Sequence[Keypoints2D]) -> tuple[AssumedCamera, ...]:
+    """Return a camera for each view, with a typical focal length.
+
+    Its principal point is the middle of the image, and it has no distortion.
+
+    Raises MismatchError where the size of the images is not known.
+    """
+    return tuple(_assume_camera(view) for view in views)
+
+
+def choose_refinement(
+    cameras: Sequence[Camera], config: IntrinsicsConfig, refine: Refinement | None
+) -> IntrinsicsConfig:
+    """Return the configuration for the estimation of the intrinsics of these cameras.
+
+    refine: None: as in `config`, or focal lengths and lenses where no intrinsics were given.
+
+    Raises MismatchError for an unknown choice, and for one that is impossible for these cameras.
+    """
+    assumed = any(isinstance(camera, AssumedCamera) for camera in cameras)
+    chosen = refine or config.refine
+    if refine is None and chosen == "none" and assumed:
+        chosen = ASSUMED_REFINEMENT
+    if chosen not in REFINEMENTS:
+        known = ", ".join(REFINEMENTS)
+        raise MismatchError(f"refine: expected one of {known}, found {chosen!r}; choose one")
+    if chosen == "none" and assumed:
+        raise MismatchError(
+            "refine: expected focal or focal+k1, as nothing is known of the intrinsics, "
+            "found none; give the intrinsics, or leave it out"
+        )
+    return replace(config, refine=chosen)
+
+
+def _assume_camera(view: Keypoints2D) -> AssumedCamera:
+    """Return the camera of a view. Raises MismatchError where its image size is not known."""
+    width, height = view.image_size
+    if (width, height) == (0, 0):
+        raise MismatchError(
+            f"{view.source}: expected the size of the images of camera {view.camera}, by which "
+            "its focal length is guessed, found none; use --image-size "
+            f"{view.camera}:WIDTHxHEIGHT, or give the intrinsics with --cameras"
+        )
+    focal = DEFAULT_FOCAL * max(width, height)
+    middle = (width - 1) / 2, (height - 1) / 2
+    return AssumedCamera(
+        name=view.camera,
+        size=(width, height),
+        matrix=np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]]),
+        distortion=np.zeros(5),
+        fisheye=False,
+    )
+
+
+_LEAST_JOINTS = 3  # seen: single points of two bodies may be the same pixel
+
+
+def find_repeated(positions: Reals) -> Bools:
+    """Return `[frame, instance]` whether an earlier detection of the frame is the same.
+
+    Two are the same where they have the same keypoints, three at least, at the same places.
+    positions: `[frame, instance, keypoint, 2]` in pixels, NaN = missing.
+    """
+    frames, instances = positions.shape[:2]
+    repeated = np.zeros((frames, instances), dtype=bool)
+    if instances < 2:
+        return repeated
+    seen = np.isfinite(positions[..., 0])
+    enough = seen.sum(-1) >= _LEAST_JOINTS
+    key = np.where(enough, np.where(seen, positions[..., 0], 0.0).sum(-1), np.nan)
+    for later in range(1, instances):
+        for earlier in range(later):
+            alike = np.flatnonzero(key[:, earlier] == key[:, later])
+            first, second = positions[alike, earlier], positions[alike, later]
+            same = (first == second) | (np.isnan(first) & np.isnan(second))
+            repeated[alike, later] |= same.all((-1, -2))
+    return repeated

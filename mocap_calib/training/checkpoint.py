@@ -1,6 +1,6 @@
 """Read and write the weights of torch's networks: safetensors files that describe themselves.
 
-`loading` reads those that lift without torch.
+`lift.weights` reads those that lift without torch.
 """
 
 import json
@@ -20,7 +20,7 @@ from mocap_calib.lift.weights import (
     read_description,
     weights_of,
 )
-from mocap_calib.recording.skeleton_fields import parse_skeleton
+from mocap_calib.recording.joints import parse_skeleton
 from mocap_calib.training.model import LifterModule, Model, TokenConfig, TokenSteerer
 from mocap_calib.types import Skeleton
 

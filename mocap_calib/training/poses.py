@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from mocap_calib.errors import DegenerateError, FormatError, MismatchError
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.recording.joints import match_names
-from mocap_calib.recording.skeleton_fields import parse_skeleton
+from mocap_calib.recording.joints import match_names, parse_skeleton
 from mocap_calib.results import Poses3D
 from mocap_calib.synthetic.body_plan import parse_body
 from mocap_calib.synthetic.procedural import sample_bodies

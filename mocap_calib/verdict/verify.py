@@ -16,9 +16,9 @@ from mocap_calib.clocks.common_clock import synchronise
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
+from mocap_calib.lift.lift import RememberedLift
 from mocap_calib.lift.lifter import Lifter
-from mocap_calib.lift.loading import AUTO, choose_model
-from mocap_calib.lift.remembered import RememberedLift
+from mocap_calib.lift.weights import AUTO, choose_model
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots

@@ -22,7 +22,7 @@ from mocap_calib.io.cameras.own import (
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.io.provenance import hold_for, judgement
-from mocap_calib.recording.pairing import compose_name
+from mocap_calib.recording.names import compose_name
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera
 
 PROVENANCE = {

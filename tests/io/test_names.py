@@ -19,7 +19,7 @@ from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
 from mocap_calib.io.results.scene import scene_files
-from mocap_calib.recording.pairing import match_cameras
+from mocap_calib.recording.names import match_cameras
 from mocap_calib.types import Keypoints2D
 
 NAME = "łódź1"

@@ -13,9 +13,8 @@ from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.load import load_recording
 from mocap_calib.job.request import KeypointSource
-from mocap_calib.lift.completion import complete_sample
-from mocap_calib.lift.lift import lift
-from mocap_calib.lift.loading import load_lifter
+from mocap_calib.lift.lift import complete_sample, lift
+from mocap_calib.lift.weights import load_lifter
 from mocap_calib.training.checkpoint import load_steerer
 from mocap_calib.training.model import complete
 from mocap_calib.types import silent

@@ -13,10 +13,17 @@ from mocap_calib.config import COMPLETION_CONFIDENCE, COMPLETION_SPREAD
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels.lifter import activate
-from mocap_calib.lift.completion import _confidence_of_lifted
-from mocap_calib.lift.lift import _DOWN, _centre, _confident_rays, _lift_rays, _Lifting, lift
+from mocap_calib.lift.lift import (
+    _DOWN,
+    _centre,
+    _confidence_of_lifted,
+    _confident_rays,
+    _lift_rays,
+    _Lifting,
+    lift,
+)
 from mocap_calib.lift.lifter import _LARGEST_SCORE, _attend
-from mocap_calib.lift.loading import choose_model, load_lifter
+from mocap_calib.lift.weights import choose_model, load_lifter
 from mocap_calib.training import train
 from mocap_calib.training.train import _project_turned
 from mocap_calib.types import silent

@@ -16,7 +16,7 @@ from mocap_calib.geometry.rotation import (
 )
 from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
 from mocap_calib.lift.lifter import ModelConfig
-from mocap_calib.lift.loading import load_lifter
+from mocap_calib.lift.weights import load_lifter
 from mocap_calib.paper import solver
 from mocap_calib.paper.batch import PaperConfig, TwoViews
 from mocap_calib.paper.five_point import estimate_by_loransac, five_point_over_matches

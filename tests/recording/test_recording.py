@@ -13,10 +13,10 @@ from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.io.cameras.read import read_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton, match_names
-from mocap_calib.recording.pairing import match_cameras, views_with_detections
-from mocap_calib.recording.repeated import find_repeated
+from mocap_calib.recording.names import match_cameras, views_with_detections
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.recording.views import find_repeated
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 
 PEOPLE = load_skeleton("people")
@@ -397,17 +397,17 @@ def test_edges_close_a_trunk_without_neck_and_pelvis():
     [
         (
             ("s/rat3_cam1_2024.json", "s/rat3_cam10_2024.json"),
-            'say --camera-regex "cam10|cam1|c\\.2", which finds these names in the paths',
+            'use --camera-regex "cam10|cam1|c\\.2", which finds these names in the paths',
         ),
         (
             ("s/left.json", "s/cam1.json"),
-            "say which camera each file is of, as cam10=s/left.json, or which part of a path is "
-            "the name with --camera-regex, or rename one side",
+            "give files with their cameras, as cam10=s/left.json, or use --camera-regex to find "
+            "the camera names in the paths, or rename one side",
         ),
         (
             ("cam1/left.json", "cam1/right.json"),
-            "say which camera each file is of, as cam1=cam1/left.json, or which part of a path is "
-            "the name with --camera-regex, or rename one side",
+            "give files with their cameras, as cam1=cam1/left.json, or use --camera-regex to find "
+            "the camera names in the paths, or rename one side",
         ),
     ],
 )

@@ -27,7 +27,7 @@ from mocap_calib.io.names import camera_name
 from mocap_calib.io.provenance import read_description
 from mocap_calib.io.registry import find_format, format_names
 from mocap_calib.io.units import ARBITRARY, known_unit, refuse_unit
-from mocap_calib.recording.pairing import compose_name
+from mocap_calib.recording.names import compose_name
 from mocap_calib.types import Camera, CameraRig
 
 _OWN = "cameras.yaml"  # what the results of a run are told by, beside one of these

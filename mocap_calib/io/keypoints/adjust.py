@@ -13,7 +13,7 @@ from mocap_calib.config import ReadConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.recording.pairing import compose_name
+from mocap_calib.recording.names import compose_name
 from mocap_calib.types import Keypoints2D
 
 

@@ -21,7 +21,7 @@ import msgspec
 from mocap_calib.io.file import Origin, decode, is_utf16, malformed, opened, read_bytes
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
-from mocap_calib.recording.pairing import compose_name
+from mocap_calib.recording.names import compose_name
 
 # beginnings of files that hold something else around what is wanted: what they are, what to do
 _FOREIGN = {

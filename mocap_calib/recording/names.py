@@ -1,8 +1,8 @@
-"""Which keypoint file belongs to which camera, and whether their images are the same."""
+"""Match keypoint files to cameras, and the keypoint names of the files to each other."""
 
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,9 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import OTHER_RESOLUTION, TYPICAL_PERCENTILE, ReadConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.types import Camera, Keypoints2D
+from mocap_calib.recording.joints import match_names, normalise_name
+from mocap_calib.types import Camera, Keypoints2D, Skeleton
+from mocap_calib.wording import count
 
 _UNKNOWN_SIZE = (0, 0)
 
@@ -21,11 +23,12 @@ def pair_with_cameras(
 ) -> tuple[tuple[Keypoints2D, ...], tuple[Camera, ...]]:
     """Return the views with detections in the order of the cameras, and their cameras.
 
-    The cameras have the image sizes of the files where they had none.
+    Cameras without an image size take that of their file.
 
-    camera_names: `[view]` camera that each view belongs to, as `match_cameras` returns them.
+    camera_names: `[view]` the camera of each view, as `match_cameras` returns them.
 
-    Raises MismatchError where these are fewer than two, or of another size.
+    Raises MismatchError for fewer than two cameras with detections, and where a camera and its file
+    have other image sizes.
     """
     view_of = dict(zip(camera_names, views, strict=True))
     pairs = [
@@ -44,9 +47,9 @@ def pair_with_cameras(
 
 
 def compose_name(name: str) -> str:
-    """Return a name with its accents composed (Unicode's NFC), as names are compared.
+    """Return a name in Unicode's normal form NFC, in which names are compared.
 
-    macOS takes them apart in the names of files: `é` becomes `e` and a mark.
+    macOS decomposes the names of files: `é` becomes `e` and a combining accent.
     """
     return unicodedata.normalize("NFC", name)
 
@@ -54,7 +57,7 @@ def compose_name(name: str) -> str:
 def match_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[str, ...]:
     """Return the name of the camera that each view belongs to.
 
-    By exact name, else regardless of case and of marks (`cam01`, `Cam_01`).
+    By exact name, else regardless of case and punctuation (`cam01`, `Cam_01`).
 
     Raises MismatchError for keypoints without a camera, and for two files of one camera.
     """
@@ -73,9 +76,9 @@ def match_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tu
 
 
 def _naming_remedy(views: Sequence[Keypoints2D], known: Sequence[str]) -> str:
-    """Return how to tell which camera each file is of, where their names do not.
+    """Return how to name the cameras of files whose own names match none.
 
-    Where each path has the name of one camera in it, it is the option that finds these names.
+    Where each path contains the name of one camera, that is the option that finds these names.
     """
     if not views or not known:
         return "rename one side"
@@ -83,13 +86,13 @@ def _naming_remedy(views: Sequence[Keypoints2D], known: Sequence[str]) -> str:
     named = [set(re.findall(pattern, view.source)) for view in views]
     cameras = {name for names in named for name in names}
     if all(len(names) == 1 for names in named) and len(cameras) == len(views):
-        return f'say --camera-regex "{pattern}", which finds these names in the paths'
+        return f'use --camera-regex "{pattern}", which finds these names in the paths'
     nameless = next(view for view in views if len(_names_alike(view.camera, known)) != 1)
     taken = {_fold_name(view.camera) for view in views}
     camera = next((name for name in known if _fold_name(name) not in taken), known[0])
     return (
-        f"say which camera each file is of, as {camera}={nameless.source}, or which part of a path "
-        "is the name with --camera-regex, or rename one side"
+        f"give files with their cameras, as {camera}={nameless.source}, or use --camera-regex to "
+        "find the camera names in the paths, or rename one side"
     )
 
 
@@ -100,12 +103,12 @@ def views_named(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tupl
 
 
 def views_with_detections(views: Sequence[Keypoints2D]) -> tuple[Keypoints2D, ...]:
-    """Return the views that have any detection; the others take no part in a recording."""
+    """Return the views with detections; the others are left out of a recording."""
     return tuple(view for view in views if _has_detections(view))
 
 
 def check_pixels(view: Keypoints2D) -> None:
-    """Raise MismatchError where the positions are shares of the image."""
+    """Raise MismatchError where the positions are normalised by the image size."""
     highest = np.nanmax(view.positions, initial=0.0)
     lowest = np.nanmin(view.positions, initial=0.0)
     mapped.let_go()
@@ -113,7 +116,7 @@ def check_pixels(view: Keypoints2D) -> None:
     if 0 < max(highest, -lowest) <= limit:
         raise MismatchError(
             f"{view.source}: expected positions in pixels, found none above {limit}; "
-            "say --image-size WIDTHxHEIGHT if they are shares of the image"
+            "use --image-size WIDTHxHEIGHT if they are shares of the image"
         )
 
 
@@ -137,7 +140,7 @@ def _has_detections(view: Keypoints2D) -> bool:
 
 
 def _take_image_size(view: Keypoints2D, camera: Camera) -> Camera:
-    """Return the camera, with the image size of its keypoint file where it has none.
+    """Return the camera, with the image size of its keypoint file if it has none.
 
     Raises MismatchError where the sizes differ, or where the positions are not in pixels.
     """
@@ -178,3 +181,94 @@ def _names_alike(name: str, known: Sequence[str]) -> list[str]:
 def _fold_name(name: str) -> str:
     """Return the letters and digits of a name, in small letters."""
     return "".join(letter for letter in compose_name(name).casefold() if letter.isalnum())
+
+
+_LISTED_UNSHARED = 6  # names in a message
+_LISTED = 12  # names of one file in a message
+
+
+def keypoint_meanings(
+    views: Sequence[Keypoints2D], skeleton: Skeleton, aliases: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the meaning of each keypoint name: a joint of the skeleton, else the name itself.
+
+    Meanings are normalised names. Two names of one file with the same meaning (`thorax` and `neck`,
+    `l_ear` and `LeftEar`) are ambiguous: each means only itself, in all files.
+
+    aliases: own name -> joint.
+    """
+    meanings: dict[str, str] = {}
+    ambiguous: dict[str, str] = {}
+    for view in views:
+        taken: set[str] = set()
+        view_meanings = _view_meanings(view.keypoints, skeleton, aliases)
+        for name, meaning in zip(view.keypoints, view_meanings, strict=True):
+            if meaning in taken or meanings.get(name, meaning) != meaning:
+                # normalised names have neither capitals nor `=`: these cannot meet another
+                ambiguous[name] = f"={name}"
+            else:
+                meanings[name] = meaning
+            taken.add(meaning)
+    return meanings | ambiguous
+
+
+def shared_keypoints(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> dict[str, str]:
+    """Return the meanings that at least two views share, with the name in the first of them.
+
+    Raises MismatchError where there are none.
+    """
+    first_name: dict[str, str] = {}
+    counts: dict[str, int] = {}
+    for view in views:
+        for name in view.keypoints:
+            meaning = meanings[name]
+            first_name.setdefault(meaning, name)
+            counts[meaning] = counts.get(meaning, 0) + 1
+    shared = {meaning: name for meaning, name in first_name.items() if counts[meaning] >= 2}
+    if not shared:
+        listed = "; ".join(
+            f"{view.camera}: {', '.join(view.keypoints[:_LISTED])}" for view in views
+        )
+        raise MismatchError(
+            f"expected keypoint names that two cameras share, found {listed}; "
+            "rename them, or map them with --skeleton"
+        )
+    return shared
+
+
+def unshared_keypoints(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> dict[str, str]:
+    """Return the keypoints that only one view has, with the name of its camera.
+
+    meanings: as `keypoint_meanings` returns them.
+    """
+    cameras: dict[str, set[str]] = {}
+    for view in views:
+        for name in view.keypoints:
+            cameras.setdefault(meanings[name], set()).add(view.camera)
+    return {
+        name: view.camera
+        for view in views
+        for name in view.keypoints
+        if len(cameras[meanings[name]]) == 1
+    }
+
+
+def describe_unshared(unshared: Mapping[str, str]) -> str:
+    """Return a line on the keypoints that only one view has; the first are listed."""
+    named = [f"{name} ({camera})" for name, camera in unshared.items()]
+    listed = ", ".join(named[:_LISTED_UNSHARED])
+    more = ", ..." if len(named) > _LISTED_UNSHARED else ""
+    return f"not used, named by a single camera: {count(len(named), 'keypoint')}: {listed}{more}"
+
+
+def _view_meanings(
+    names: Sequence[str], skeleton: Skeleton, aliases: Mapping[str, str]
+) -> list[str]:
+    """Return the meaning of each name of one file; two names may have the same meaning."""
+    joints = [normalise_name(joint) for joint in skeleton.keypoints]
+    renamed_by = {normalise_name(name): joint for name, joint in aliases.items()}
+    renamed = tuple(renamed_by.get(normalise_name(name), name) for name in names)
+    return [
+        joints[joint] if joint >= 0 else normalise_name(name)
+        for name, joint in zip(renamed, match_names(renamed, skeleton), strict=True)
+    ]

@@ -7,8 +7,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.recording.meanings import unshared_keypoints
-from mocap_calib.recording.pairing import views_with_detections
+from mocap_calib.recording.names import unshared_keypoints, views_with_detections
 from mocap_calib.recording.synchronise import JoinedViews
 from mocap_calib.types import Camera, Keypoints2D, Recording
 
