@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
 from mocap_calib.recording.joints import load_skeleton, match_names
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Sample

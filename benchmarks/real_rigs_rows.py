@@ -13,8 +13,7 @@ import numpy as np
 from mocap_calib.clocks.in_step import held_out_error
 from mocap_calib.config import Config
 from mocap_calib.front import read_recording
-from mocap_calib.geometry.lens import change_intrinsics
-from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.lens import change_intrinsics, pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import read_cameras, read_rig

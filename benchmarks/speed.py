@@ -39,7 +39,7 @@ from recording_folders import add_recordings
 
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import AdjustConfig
-from mocap_calib.geometry.projection import rays_from_pixels
+from mocap_calib.geometry.lens import rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.results import Matches
 from mocap_calib.rig.triangulate import triangulate_pixels

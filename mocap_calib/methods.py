@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_calib.geometry.projection import project
+from mocap_calib.geometry.lens import project_points
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.notebook.tables import describe_group, describe_result, describe_rig
 from mocap_calib.records import as_array
@@ -159,7 +159,7 @@ _BOUND: dict[type[Any], dict[str, Any]] = {
     PosedCamera: {"rvec": property(rotation_vector)},
     CameraRig: {
         "rvec": property(rotation_vectors),
-        "project": project,
+        "project": project_points,
         "triangulate": triangulate,
         "_repr_html_": describe_rig,
     },

@@ -436,7 +436,7 @@ class CameraRig(Record):
             """`[view, 3]` rotation vectors of cam_from_world in radians."""
 
         def project(self, points: ArrayLike) -> Floats:
-            """Return the pixels of points in world coordinates, see `geometry.projection`."""
+            """Return the pixels of points in world coordinates, see `geometry.lens`."""
 
         def triangulate(
             self, pixels: ArrayLike, confidence: ArrayLike | None = None

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scenes import scene
 
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.io.cameras.own import format_calibration_toml
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.coco_writer import format_coco

@@ -13,7 +13,7 @@ import pytest
 from scenes import calibrated
 
 from mocap_calib.config import EPOCH_MARK, Config
-from mocap_calib.geometry.reprojection import project
+from mocap_calib.geometry.lens import project_views
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.group import REVERSED_RIG, write_group
@@ -224,7 +224,7 @@ def test_the_error_is_what_anipose_calls_one():
     )
     points = run_report(found, result, seed=0, config=Config(), inputs={})["points"]
     pixels = gather_tracks(found.recording, found.matches, np.arange(60)).pixels
-    images = project(found.rig, found.poses.raw.reshape(-1, 3).T)
+    images = project_views(found.rig, found.poses.raw.reshape(-1, 3).T)
     error = np.linalg.norm(images - pixels, axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # points without any view

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import write_cameras

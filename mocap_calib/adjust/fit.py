@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import Config, UncertaintyConfig
-from mocap_calib.geometry.rays import points_in_cameras
-from mocap_calib.geometry.reprojection import project
+from mocap_calib.geometry.lens import points_in_cameras, project_views
 from mocap_calib.results import Matches
 from mocap_calib.rig.noise import view_residual
 from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
@@ -63,7 +62,7 @@ def measure_distances(
     # what does not fit is to be counted, not left out
     all_rays = replace(config.triangulate, outlier=np.inf)
     points, _ = triangulate_rays(rig, seen.rays, weight=seen.weight, noise=noise, config=all_rays)
-    return seen, points, np.linalg.norm(project(rig, points) - seen.pixels, axis=1)
+    return seen, points, np.linalg.norm(project_views(rig, points) - seen.pixels, axis=1)
 
 
 def fit_equally_well(first: Fit, second: Fit, config: UncertaintyConfig) -> bool:

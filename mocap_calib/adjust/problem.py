@@ -11,9 +11,8 @@ from mocap_calib.adjust.solve import minimise
 from mocap_calib.compute.parallel import do_both
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
-from mocap_calib.geometry.point_covariance import median_angles
-from mocap_calib.geometry.rays import ray_angles
-from mocap_calib.geometry.view_blocks import order_by_views
+from mocap_calib.geometry.intersection import median_angles, order_by_views
+from mocap_calib.geometry.lens import ray_angles
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches

@@ -12,7 +12,7 @@ from mocap_calib.adjust.residuals import State
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.gauge import with_size_of
+from mocap_calib.geometry.alignment import with_size_of
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.results import Adjusted, LiftedPoses, Matches
 from mocap_calib.rig.associate import associate, have_same_groups, label_single_subject

@@ -13,7 +13,7 @@ from mocap_calib.adjust.resection import (
     sightings_of,
 )
 from mocap_calib.config import Config
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.placed import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.rig.tracks import gather_tracks, labelled_frames

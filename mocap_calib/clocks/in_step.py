@@ -12,7 +12,7 @@ import numpy as np
 
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
-from mocap_calib.geometry.reprojection import project
+from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import usual_step
 from mocap_calib.results import Matches, Poses3D
 from mocap_calib.rig.tracks import gather_tracks
@@ -67,7 +67,7 @@ def held_out_error(
     )
     tested = _move_detections(tested, rig, matches, poses, -tau)
     seen = gather_tracks(tested, matches, np.arange(len(recording.frames)))
-    gap = project(rig, poses.positions.reshape(-1, 3).T) - seen.pixels
+    gap = project_views(rig, poses.positions.reshape(-1, 3).T) - seen.pixels
     focal = np.array([camera.focal for camera in rig.cameras])
     error = np.sqrt((gap**2).sum(1)) / focal[:, None]
     return float(np.nanmedian(error)) if np.isfinite(error).any() else np.inf

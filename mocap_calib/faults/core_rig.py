@@ -9,7 +9,7 @@ from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.rig_covariance import rig_covariance
 from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.gauge import changed_rig
+from mocap_calib.geometry.alignment import changed_rig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import RigCovariance
 from mocap_calib.rig.associate import associate

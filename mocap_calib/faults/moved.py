@@ -20,7 +20,7 @@ from mocap_calib.faults.changes import (
     last_moments,
     stands_out,
 )
-from mocap_calib.geometry.gauge import rig_size
+from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.recording.corrections import Moved
 from mocap_calib.recording.epochs import own_name

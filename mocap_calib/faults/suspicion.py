@@ -6,7 +6,7 @@ import numpy as np
 
 from mocap_calib.adjust.camera_fit import CameraPose, Seen, Unknown, fit_camera
 from mocap_calib.config import Config, DiagnosisConfig
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, Matches

@@ -1,22 +1,29 @@
-"""Lenses as in OpenCV, by component: `[2, N]` pixels, `[3, N]` points and rays. NaN stays NaN.
+"""Lenses, pixels, and rays of the cameras of a rig.
 
-Compiled, because whole recordings go through: ten times faster than cv2, and without its failures
-(its fixed-point iteration diverges at strong lenses; its fisheye inverse returns tan(theta), which
-breaks near 90 degrees).
+Pixels have their centres at integers. Rays are unit vectors in the camera's axes: x right, y down,
+z forward. By component, where nothing else is said: `[2, N]` pixels, `[3, N]` points and rays. NaN
+stays NaN.
+
+Lenses are OpenCV's. They are compiled, because whole recordings go through: ten times faster than
+cv2, and without its failures (its fixed-point iteration diverges at strong lenses; its fisheye
+inverse returns tan(theta), which breaks near 90 degrees).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.kernels import lens as kernels
+from mocap_calib.kernels import rays as ray_kernels
 from mocap_calib.kernels.loading import contiguous
-from mocap_calib.types import Camera, Floats
+from mocap_calib.records import as_array
+from mocap_calib.types import Bools, Camera, CameraRig, Floats, Reals
 
 # Of one call, or of one view where it has more: each call waits for Python's lock.
 _PIXELS = 1 << 18
@@ -134,3 +141,120 @@ def change_intrinsics(camera: Camera, *, log_focal: float, k1: float) -> Camera:
         distortion = np.zeros(4 if camera.fisheye else 5)
     distortion[0] += k1
     return replace(camera, matrix=matrix, distortion=distortion)
+
+
+_BLOCK = 8192  # what is computed of so many stays in the cache
+
+
+def rays_from_pixels(camera: Camera, pixels: Reals) -> Floats:
+    """Return the unit rays `[..., 3]` of pixels `[..., 2]`, with the distortion taken out.
+
+    NaN stays NaN, and a pixel that no ray projects to is NaN.
+    """
+    rows = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    rays = _convert_in_blocks(unproject, camera, rows, width=3)
+    return rays.reshape(*pixels.shape[:-1], 3)
+
+
+def pixels_from_points(camera: Camera, points: Floats) -> Floats:
+    """Return the pixels `[..., 2]` of points `[..., 3]` in the camera's axes.
+
+    NaN stays NaN, and a point behind the camera is NaN.
+    """
+    rows = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    pixels = _convert_in_blocks(project, camera, rows, width=2)
+    return pixels.reshape(*points.shape[:-1], 2)
+
+
+def project_points(rig: CameraRig, points: ArrayLike) -> Floats:
+    """Return the pixels `[view, ..., 2]` of points `[..., 3]` in world coordinates.
+
+    The distortion of the lenses is applied. NaN stays NaN, and a point behind a camera is NaN
+    there. Pixels outside the image are returned like any other.
+
+    Raises ValueError where the last axis of the points is not 3.
+    """
+    world = as_array("points", points, float, *np.shape(points)[:-1], 3)
+    views = zip(rig.cameras, rig.rotation, rig.translation, strict=True)
+    return np.stack(
+        [
+            pixels_from_points(camera, world @ rotation.T + translation)
+            for camera, rotation, translation in views
+        ]
+    )
+
+
+def _convert_in_blocks(
+    convert: Callable[[Camera, Floats], Floats], camera: Camera, rows: Floats, *, width: int
+) -> Floats:
+    """Return `[N, width]` rows, converted by a function that takes and returns components."""
+    converted = np.empty((len(rows), width))
+    for start in range(0, len(rows), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        converted[block] = convert(camera, rows[block].T.copy()).T
+    return converted
+
+
+def points_in_cameras(rig: CameraRig, points: Floats) -> Floats:
+    """Return points `[3, N]` in world coordinates in each camera's frame, `[view, 3, N]`."""
+    return np.matmul(rig.rotation, points) + rig.translation[:, :, None]
+
+
+def agreeing_views(
+    rig: CameraRig,
+    points: Floats,
+    world: Floats,
+    weight: Floats,
+    *,
+    limits: Floats,
+    least_angle: float,
+) -> Bools:
+    """Return the views that agree on points, `[view, N]`; none where they are too few or too near.
+
+    A view agrees where the point is in front of it, and its ray passes within a limit. Two views
+    at least must, and their rays be far enough apart.
+
+    points: `[3, N]`, NaN = unknown. world: `[view, 3, N]` unit rays in the world's axes, zero where
+    missing. weight: `[view, N]`, 0 = not seen. limits: `[view, count]` angles in radians, of points
+    that so many views see. least_angle: in radians.
+    """
+    agree = np.empty(weight.shape, dtype=bool)
+    tangents = np.tan(np.minimum(limits, np.pi / 2))
+    given = contiguous(rig.centres, points, world, weight, tangents)
+    ray_kernels.agreeing_views(*given, np.cos(least_angle / 2), agree)
+    return agree
+
+
+def rays_in_world(rig: CameraRig, rays: Floats) -> Floats:
+    """Return rays `[view, 3, N]` of the cameras' frames in world coordinates, zero = missing."""
+    world = np.empty(rays.shape)
+    ray_kernels.rays_in_world(*contiguous(rig.rotation, rays), world)
+    return world
+
+
+def ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bools]:
+    """Return the angles between rays and points, and whether the points are in front of the views.
+
+    points: `[3, N]`; rays: `[view, 3, N]`. Angles `[view, N]` in radians, pi where something is
+    missing; in front `[view, N]`.
+    """
+    angle, along = np.empty((2, len(rays), points.shape[1]))
+    ray_kernels.ray_angles(*contiguous(rig.rotation, rig.translation, points, rays), angle, along)
+    return angle, along > 0
+
+
+def project_views(rig: CameraRig, points: Floats) -> Floats:
+    """Return the pixels `[view, 2, N]` of points `[3, N]` in world coordinates; NaN = behind."""
+    return np.stack(list(map(project, rig.cameras, points_in_cameras(rig, points))))
+
+
+def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: Bools) -> Floats:
+    """Return the RMS distance `[N]` in pixels of points from their detections in the used views.
+
+    points: `[3, N]` in world coordinates; pixels: `[view, 2, N]` the detections; used: `[view, N]`.
+    NaN where no view is used. A view that has a point behind it adds no distance.
+    """
+    error = np.empty(points.shape[1])
+    pose = np.concatenate([rig.rotation, rig.translation[:, :, None]], axis=2)
+    kernels.reprojection_errors(*contiguous(pose, rows(rig.cameras), points, pixels, used), error)
+    return error

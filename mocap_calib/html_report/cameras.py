@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.gauge import rig_size
+from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.html_report.source import Reference, ReportSource
 from mocap_calib.recording.epochs import list_epochs, views_by_camera

@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import MatchingConfig
-from mocap_calib.geometry.bodies import mean_of_known
+from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.identities.pieces import Pieces, rms_distance, surprise
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints

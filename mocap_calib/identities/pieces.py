@@ -12,7 +12,7 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LEAST_JOINTS, MatchingConfig
-from mocap_calib.geometry.bodies import mean_of_known
+from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints
 

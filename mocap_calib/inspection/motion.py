@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.geometry.bodies import mean_of_known
+from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.inspection.config import InspectConfig
 from mocap_calib.inspection.finding import Finding, warning
 from mocap_calib.recording.sampling import evenly_spaced

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.geometry.bodies import mean_of_known
-from mocap_calib.geometry.epipolar import fundamental_matrix, sampson_distance
-from mocap_calib.geometry.homography import homography_errors
+from mocap_calib.geometry.alignment import mean_of_known
+from mocap_calib.geometry.epipolar import fundamental_matrix, homography_errors, sampson_distance
 from mocap_calib.inspection.config import InspectConfig
 from mocap_calib.inspection.finding import Finding, warning
 from mocap_calib.recording.sampling import evenly_spaced

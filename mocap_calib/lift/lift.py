@@ -22,7 +22,7 @@ from mocap_calib.config import (
     LIFT_LEAST_FORWARD,
     LIFT_UPRIGHT_SAMPLE,
 )
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.recording.sampling import evenly_spaced

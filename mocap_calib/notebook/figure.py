@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mocap_calib.colours import colour_of
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.gauge import rig_size
+from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.joints import edges_of_keypoints

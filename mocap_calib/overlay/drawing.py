@@ -12,8 +12,8 @@ import numpy as np
 
 from mocap_calib.colours import colour_of, rgb
 from mocap_calib.config import CORNER_OFFSET
-from mocap_calib.geometry.gauge import rig_size
-from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.alignment import rig_size
+from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.results import Poses3D
 from mocap_calib.types import ARBITRARY, METRES, Camera, CameraRig, Floats
 

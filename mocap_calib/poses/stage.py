@@ -9,7 +9,7 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
-from mocap_calib.geometry.bodies import body_size
+from mocap_calib.geometry.alignment import body_size
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.poses.choose import Choice, choose_strengths
 from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.geometry.rays import rays_in_world
+from mocap_calib.geometry.lens import rays_in_world
 from mocap_calib.results import POINT_SOURCES
 from mocap_calib.rig.tracks import Tracks
 from mocap_calib.types import Bools, CameraRig, Floats, Ints

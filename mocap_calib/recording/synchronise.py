@@ -12,7 +12,7 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, TYPICAL_PERCENTILE
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.projection import rays_from_pixels
+from mocap_calib.geometry.lens import rays_from_pixels
 from mocap_calib.recording.copies import check_copies
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.names import (

@@ -9,10 +9,8 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
-from mocap_calib.geometry.intersection import intersect
-from mocap_calib.geometry.point_covariance import median_angles
-from mocap_calib.geometry.rays import ray_angles, rays_in_world
-from mocap_calib.geometry.view_blocks import ViewBlock, view_blocks
+from mocap_calib.geometry.intersection import ViewBlock, intersect, median_angles, view_blocks
+from mocap_calib.geometry.lens import ray_angles, rays_in_world
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches
 from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
@@ -55,7 +53,7 @@ def measure_errors(
 
     They are the angles between rays (`[view, 3, N]`, weights `[view, N]`) and the points where
     these meet, divided by their medians where each ray has an error of one standard deviation
-    (`geometry.point_covariance`).
+    (`geometry.intersection`).
 
     Also which of them count, `[view, N]`: of points that three views see (two where there are no
     more).

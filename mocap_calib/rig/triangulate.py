@@ -10,11 +10,15 @@ from mocap_calib.compute.parallel import map_in_threads, single_threaded_librari
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
-from mocap_calib.geometry.intersection import intersect
-from mocap_calib.geometry.point_covariance import point_covariance
-from mocap_calib.geometry.rays import agreeing_views, rays_in_world
-from mocap_calib.geometry.reprojection import reprojection_error
-from mocap_calib.geometry.view_blocks import POINT_BLOCK, ViewBlock, point_blocks, view_blocks
+from mocap_calib.geometry.intersection import (
+    POINT_BLOCK,
+    ViewBlock,
+    intersect,
+    point_blocks,
+    point_covariance,
+    view_blocks,
+)
+from mocap_calib.geometry.lens import agreeing_views, rays_in_world, reprojection_error
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches, Poses3D
 from mocap_calib.rig.noise import least_noise, measure_errors, view_noise

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.projection import project
+from mocap_calib.geometry.lens import project_points
 from mocap_calib.recording.views import split_by_view
 from mocap_calib.records import Record, check_shape
 from mocap_calib.synthetic.bodies import JOINTS
@@ -79,7 +79,7 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
     poses = poses[:, :, : len(joints)]
     individuals = poses.shape[1]
     bodies = np.concatenate([poses, _strangers(rng, poses)[:, None]], axis=1)
-    image = _replace_by_copies(rng, project(rig, bodies))
+    image = _replace_by_copies(rng, project_points(rig, bodies))
     image = _swap_sides(rng, image, joints, swaps)
     real = np.arange(individuals + 1) < individuals  # [body]: the last is false
     present = real | (rng.random((*image.shape[:2], 1)) < false_detections)

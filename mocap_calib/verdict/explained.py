@@ -7,7 +7,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES
-from mocap_calib.geometry.reprojection import project
+from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, GroupResult, Matches
 from mocap_calib.rig.tracks import matched_pixels
@@ -46,7 +46,7 @@ class Leftover:
         seen, _ = matched_pixels(recording, matches, frames)
         pixels = np.moveaxis(seen, -1, 1)
         bodies = seen.shape[1:4]
-        seen_at = project(rig, mapped.take(points, frames).reshape(-1, 3).T)
+        seen_at = project_views(rig, mapped.take(points, frames).reshape(-1, 3).T)
         gap = seen_at.reshape(len(seen), 2, *bodies) - pixels
         return cls(pixels=pixels, gap=gap, distance=np.linalg.norm(gap, axis=1))
 

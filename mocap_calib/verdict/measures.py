@@ -9,8 +9,8 @@ from mocap_calib import mapped
 from mocap_calib.compute.medians import known_medians
 from mocap_calib.config import Config
 from mocap_calib.geometry import lens
+from mocap_calib.geometry.epipolar import plane_errors
 from mocap_calib.geometry.graphs import spanning_tree
-from mocap_calib.geometry.homography import plane_errors
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import GroupResult
 from mocap_calib.rig.graph import best_scores

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
-from mocap_calib.geometry.gauge import gauge_of, rig_size
+from mocap_calib.geometry.alignment import gauge_of, rig_size
 from mocap_calib.geometry.rotation import angle_between, vector_from_matrix
 from mocap_calib.records import Record
 from mocap_calib.results import RigCovariance

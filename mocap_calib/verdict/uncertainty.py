@@ -22,7 +22,7 @@ from mocap_calib.adjust.wrong_focal import find_wrong_focal
 from mocap_calib.compute.parallel import do_both, single_threaded_libraries
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.gauge import project_out_similarity, rig_change, rig_size
+from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import Matches, RigCovariance, Uncertainty

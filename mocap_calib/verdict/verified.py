@@ -9,7 +9,7 @@ import numpy as np
 from mocap_calib.adjust.camera_fit import CameraFit, CameraPose
 from mocap_calib.adjust.relocation import place_points, refit_camera, typical_error
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
-from mocap_calib.geometry.gauge import rig_size
+from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.provenance import judgement, round_sigma

@@ -11,8 +11,7 @@ import numpy as np
 
 from mocap_calib.config import WorldConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.alignment import align_by_similarity
-from mocap_calib.geometry.gauge import rig_size
+from mocap_calib.geometry.alignment import align_by_similarity, rig_size
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.results import RigCovariance
 from mocap_calib.types import Bools, CameraRig, Floats
@@ -99,7 +98,7 @@ def point_sigmas(
 
     They are due to pixels that somebody clicked, and to the rig. seen: `[view, N]` in which views.
 
-    To first order, as in `geometry.point_covariance`.
+    To first order, as in `geometry.intersection`.
     """
     offset = points - rig.centres[:, None]
     far = np.linalg.norm(offset, axis=-1)

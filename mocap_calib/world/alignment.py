@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.geometry.gauge import rig_size
+from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.results import RigCovariance
 from mocap_calib.rig.triangulate import triangulate_pixels

@@ -11,8 +11,7 @@ import numpy as np
 
 from mocap_calib.config import CueConfig, FloorConfig, ScaleCue
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.geometry.bodies import body_size
-from mocap_calib.geometry.gauge import rig_size
+from mocap_calib.geometry.alignment import body_size, rig_size
 from mocap_calib.recording.epochs import own_name
 from mocap_calib.results import Poses3D, RigCovariance
 from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, World

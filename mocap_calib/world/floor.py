@@ -12,7 +12,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import FloorConfig
-from mocap_calib.geometry.bodies import body_size
+from mocap_calib.geometry.alignment import body_size
 from mocap_calib.results import Poses3D
 from mocap_calib.types import CameraRig, Floats, Ints
 from mocap_calib.world.body import (

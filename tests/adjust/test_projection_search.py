@@ -14,7 +14,7 @@ from mocap_calib.adjust.projection_search import (
     resect,
 )
 from mocap_calib.config import CameraFitConfig, ResectionConfig
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.types import Camera
 

@@ -16,7 +16,7 @@ from mocap_calib.adjust.resection import CameraPoses, Sightings, costs_of, sight
 from mocap_calib.config import Config, MovedConfig
 from mocap_calib.faults import moved
 from mocap_calib.faults.changes import find_epochs, last_moments, split_gains, stands_out
-from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import read_rig

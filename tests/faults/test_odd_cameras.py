@@ -21,7 +21,7 @@ from mocap_calib.faults.explanations import (
 from mocap_calib.faults.odd_cameras import find_odd_cameras
 from mocap_calib.faults.suspicion import is_turned, rolls
 from mocap_calib.faults.words import describe
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.recording.corrections import Cropped, Mirrored, Resized, Rotated, Sides
 from mocap_calib.results import Fault
 from mocap_calib.types import Recording

@@ -12,7 +12,7 @@ from mocap_calib.adjust.camera_fit import CameraPose, Seen, fit_camera, shift_of
 from mocap_calib.config import CameraFitConfig, Config
 from mocap_calib.faults import core_rig, odd_cameras
 from mocap_calib.faults.explaining import Finding, with_uncertain_core
-from mocap_calib.geometry.gauge import changed_rig, project_out_similarity, rig_change
+from mocap_calib.geometry.alignment import changed_rig, project_out_similarity, rig_change
 from mocap_calib.results import RigCovariance
 from mocap_calib.types import CameraRig
 

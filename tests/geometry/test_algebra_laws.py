@@ -14,9 +14,8 @@ from test_laws import rig_of, rotations, seen_by, unit
 
 from mocap_calib.geometry.epipolar import essential_matrix, five_point
 from mocap_calib.geometry.graphs import assign
-from mocap_calib.geometry.intersection import intersect
-from mocap_calib.geometry.point_covariance import point_covariance
-from mocap_calib.geometry.rays import points_in_cameras, rays_in_world
+from mocap_calib.geometry.intersection import intersect, point_covariance
+from mocap_calib.geometry.lens import points_in_cameras, rays_in_world
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import CameraRig
 

@@ -15,7 +15,7 @@ from mocap_calib.geometry.epipolar import (
     sampson_angle,
 )
 from mocap_calib.geometry.intersection import intersect
-from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,

@@ -6,9 +6,10 @@ import pytest
 from mocap_calib.geometry.epipolar import (
     essential_matrix,
     fundamental_matrix,
+    homography_errors,
+    plane_errors,
     sampson_distance,
 )
-from mocap_calib.geometry.homography import homography_errors, plane_errors
 from mocap_calib.geometry.rotation import matrix_from_vector
 
 NOISE = 1e-3  # radians

@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocap_calib.geometry.alignment import align_by_similarity
-from mocap_calib.geometry.bodies import body_size
+from mocap_calib.geometry.alignment import align_by_similarity, body_size
 from mocap_calib.geometry.epipolar import (
     depths,
     essential_matrix,
@@ -15,11 +14,8 @@ from mocap_calib.geometry.epipolar import (
     sampson_angle,
 )
 from mocap_calib.geometry.graphs import connected_parts, spanning_tree
-from mocap_calib.geometry.intersection import intersect
-from mocap_calib.geometry.lens import project
-from mocap_calib.geometry.point_covariance import median_angles
-from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.geometry.rays import ray_angles
+from mocap_calib.geometry.intersection import intersect, median_angles
+from mocap_calib.geometry.lens import pixels_from_points, project, ray_angles
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,

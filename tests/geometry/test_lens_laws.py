@@ -9,7 +9,7 @@ from oracles import rays as oracle
 from test_lens_slopes import assert_slopes
 
 from mocap_calib.geometry import lens
-from mocap_calib.geometry.reprojection import project, reprojection_error
+from mocap_calib.geometry.lens import project_views, reprojection_error
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import Camera, CameraRig
 
@@ -109,7 +109,7 @@ def test_the_kernel_gives_the_reprojection_errors_of_its_definition(seed):
     turn = 0.1 * rng.normal(size=(4, 3)) + np.outer([0, 0, 0, np.pi], [1, 0, 0])  # one looks away
     rig = CameraRig(cameras, matrix_from_vector(turn), rng.normal(size=(4, 3)) + [0, 0, 9.0], "m")
     points = rng.normal(size=(3, 150)) + rng.choice([0, 30], 150) * [[0], [0], [1]]
-    pixels = project(rig, points) + rng.normal(size=(4, 2, 150))
+    pixels = project_views(rig, points) + rng.normal(size=(4, 2, 150))
     used = rng.random((4, 150)) < 0.4
     points[:, :5] = np.nan
     found = reprojection_error(rig, points, pixels=pixels, used=used)

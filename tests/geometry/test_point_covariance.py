@@ -8,13 +8,13 @@ import pytest
 from oracles import rays as oracle
 
 from mocap_calib.config import INTERSECT_LOSS_SCALE
-from mocap_calib.geometry.intersection import intersect
-from mocap_calib.geometry.point_covariance import (
+from mocap_calib.geometry.intersection import (
     _LEAST_SHARE,
+    intersect,
     median_angles,
     point_covariance,
 )
-from mocap_calib.geometry.rays import (
+from mocap_calib.geometry.lens import (
     agreeing_views,
     ray_angles,
     rays_in_world,

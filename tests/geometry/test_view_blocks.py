@@ -5,7 +5,7 @@ import pytest
 
 from mocap_calib.config import SMALL_RIG
 from mocap_calib.geometry.graphs import fiedler_vector
-from mocap_calib.geometry.view_blocks import ViewBlock, order_by_views, view_blocks
+from mocap_calib.geometry.intersection import ViewBlock, order_by_views, view_blocks
 
 
 def hall(views: int, points: int) -> np.ndarray:

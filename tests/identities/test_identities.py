@@ -7,7 +7,7 @@ import pytest
 from scenes import PEOPLE, scene
 
 from mocap_calib.config import Config, MatchingConfig
-from mocap_calib.geometry.reprojection import project
+from mocap_calib.geometry.lens import project_views
 from mocap_calib.identities.bones import BoneLengths, measure_bones
 from mocap_calib.identities.evidence import motion_evidence
 from mocap_calib.identities.join import join_pieces
@@ -34,7 +34,7 @@ def name_walkers(places: np.ndarray, bodies: list, seen: np.ndarray, *, views=4,
     rng, made = np.random.default_rng(0), scene()
     frames, count = seen.shape
     points = np.stack(bodies) + places[:, :, None]
-    pixels = project(made.rig, points.reshape(-1, 3).T)
+    pixels = project_views(made.rig, points.reshape(-1, 3).T)
     pixels = np.moveaxis(pixels, 1, -1).reshape(4, frames, count, JOINTS, 2)
     pixels += 2 * rng.normal(size=pixels.shape)
     visible = np.tile(seen, (4, 1, 1))

@@ -11,7 +11,7 @@ import pytest
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.colmap import silent_colmap
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.common import COLMAP_LENSES
 from mocap_calib.io.cameras.read import load_cameras, make_rig

@@ -18,7 +18,7 @@ from rigs import assert_same, padded, rigs
 from scipy.io import savemat
 
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import (

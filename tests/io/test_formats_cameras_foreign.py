@@ -13,7 +13,7 @@ import pytest
 from test_formats_cameras import studio
 
 from mocap_calib.errors import FormatError
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.intrinsics import make_camera
 from mocap_calib.io.cameras.read import _note_same_places, load_cameras, make_rig, parse_content

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scenes import PEOPLE, lifted, recording, scene
 
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.load import load_recording

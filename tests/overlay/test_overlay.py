@@ -9,7 +9,7 @@ import pytest
 
 from mocap_calib.colours import COLOURS, NOBODY, colour_of, rgb
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.overlay.drawing import View, camera_lines, floor_lines, resize
 from mocap_calib.overlay.make import make_overlays
 from mocap_calib.overlay.results import CameraResults, Results, read_results

@@ -9,7 +9,7 @@ from scenes import recording, scene, truth
 
 from mocap_calib import mapped
 from mocap_calib.config import Config, PosesConfig
-from mocap_calib.geometry.reprojection import project
+from mocap_calib.geometry.lens import project_views
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.poses.choose import error_of_mean
 from mocap_calib.poses.fit import Strengths, fit
@@ -256,7 +256,7 @@ def test_a_joint_metres_away_is_not_taken_however_well_the_views_agree_on_it():
     place = true_points(**EASY)[part].mean(0) + [0, 0, 4]
     positions, confidence = seen.positions.copy(), seen.confidence.copy()
     view, frame, instance = np.nonzero(truth(**EASY).labels[:, 20:26] == 0)
-    pixels = project(scene(**EASY).rig, place[:, None])[..., 0]
+    pixels = project_views(scene(**EASY).rig, place[:, None])[..., 0]
     positions[view, frame + 20, instance, keypoint] = pixels[view]
     confidence[view, frame + 20, instance, keypoint] = 1
     poses, _ = smooth(replace(seen, positions=positions, confidence=confidence), **EASY)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.io.cameras.read import read_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton, match_names

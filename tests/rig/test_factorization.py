@@ -8,7 +8,7 @@ from scenes import calibrate_group, recording, rotation_errors_deg, scene
 
 from mocap_calib.adjust.fit import measure_fit
 from mocap_calib.config import Config, MatchingConfig
-from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.rig.associate import label_single_subject
 from mocap_calib.rig.factorization import factorise

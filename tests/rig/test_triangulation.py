@@ -8,7 +8,7 @@ import pytest
 from scenes import recording, scene, truth
 
 from mocap_calib.config import TriangulateConfig
-from mocap_calib.geometry.reprojection import project, reprojection_error
+from mocap_calib.geometry.lens import project_views, reprojection_error
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.rig.observed_points import observe_points
 from mocap_calib.rig.triangulate import (
@@ -121,7 +121,7 @@ def test_a_point_behind_its_views_is_none_however_rough_they_are():
 def test_reprojection_error_is_the_rms_over_the_used_views():
     """Detections 3, 4 and 300 pixels off, the last not used: sqrt((9 + 16) / 2)."""
     rig, points = ring(3), np.array([[0.1, 0.2, 1.0]]).T
-    pixels = project(rig, points)
+    pixels = project_views(rig, points)
     pixels[:, 0, 0] += [3.0, 4.0, 300.0]
     used = np.array([[True], [True], [False]])
     error = reprojection_error(rig, points, pixels=pixels, used=used)
@@ -152,7 +152,7 @@ def test_observed_points_are_the_points_and_the_detections_of_the_poses():
     np.testing.assert_array_equal(points.positions, poses.positions[known])
     views = np.bincount(points.point, minlength=len(points.positions))
     np.testing.assert_array_equal(views, poses.views[known])
-    there = project(made.rig, points.positions.T)[points.view, :, points.point]
+    there = project_views(made.rig, points.positions.T)[points.view, :, points.point]
     square = ((there - points.pixels) ** 2).sum(1)
     error = np.sqrt(np.bincount(points.point, square) / views)
     np.testing.assert_allclose(error, poses.error[known], rtol=1e-9)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.synthetic import JOINTS, LAYOUTS, detect, people, ring_rig, simulate
 from mocap_calib.synthetic.config import SimulateConfig
