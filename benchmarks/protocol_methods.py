@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
+from protocol_full_system import full_geometric_loss
 from protocol_rivals import LiftedPair, adjust, lifted_pair, procrustes, sphere
 
-from mocap_calib.config import FIVE_POINT_CONFIDENCE, FIVE_POINT_LEAST_FORWARD, PairwiseConfig
+from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseConfig
 from mocap_calib.geometry.epipolar import pose_from_essential
 from mocap_calib.lift.lift import lift, rays_by_joint
 from mocap_calib.pairs.solve import calibrate_pair, pair_problem
-from mocap_calib.paper.batch import PaperConfig, TwoViews
 from mocap_calib.paper.five_point import (
     FIVE_POINT_LEAST_JOINTS,
     Estimator,
@@ -24,7 +24,8 @@ from mocap_calib.paper.five_point import (
     five_point_over_matches,
     match_by_pose,
 )
-from mocap_calib.paper.solver import solve_pair, solve_pairs
+from mocap_calib.paper.losses import TwoViews
+from mocap_calib.paper.solver import PaperConfig, solve_pair, solve_pairs
 from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
 from mocap_calib.training.checkpoint import load_steerer
 from mocap_calib.training.model import LifterModule, Model, lifter_of
@@ -94,7 +95,7 @@ def all_pairs(estimator: Estimator) -> Method:
         shape = np.broadcast_shapes(rays_a[:, :, None].shape, rays_b[:, None].shape)
         every_a = np.broadcast_to(rays_a[:, :, None], shape).reshape(-1, 3)
         every_b = np.broadcast_to(rays_b[:, None], shape).reshape(-1, 3)
-        forward = (np.stack([every_a[:, 2], every_b[:, 2]]) > FIVE_POINT_LEAST_FORWARD).all(0)
+        forward = (np.stack([every_a[:, 2], every_b[:, 2]]) > LEAST_FORWARD).all(0)
         trials = FivePointConfig().ransac_iterations
         pose = estimator(every_a[forward], every_b[forward], threshold, trials=trials)
         if pose is None:
@@ -258,10 +259,10 @@ METHODS: dict[str, Method] = {
     "sphere": rival(sphere, adjusted=False),
     "sphere-adjusted": rival(sphere, adjusted=True),
     "paper-token": paper("token", PaperConfig()),
-    "paper-token-full": paper("token", PaperConfig(full_system=True)),
+    "paper-token-full": paper("token", PaperConfig(geometric_loss=full_geometric_loss)),
     "paper-token-nogeom": paper("token", PaperConfig(geometric_weight=0.0)),
     "paper-factorised": paper("factorised", PaperConfig()),
-    "paper-factorised-full": paper("factorised", PaperConfig(full_system=True)),
+    "paper-factorised-full": paper("factorised", PaperConfig(geometric_loss=full_geometric_loss)),
     "paper-factorised-nogeom": paper("factorised", PaperConfig(geometric_weight=0.0)),
     "ours": ours(PairwiseConfig()),
     "ours-norays": ours(replace(PairwiseConfig(), points=0)),

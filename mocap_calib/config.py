@@ -10,7 +10,6 @@ LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden
 LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
 LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in its images
 LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
-LIFT_LEAST_FORWARD = 0.1  # z of a unit ray in the virtual camera: what is beside it stays finite
 
 ENCODER_HEADS = 4  # of the networks' encoders, which share a token
 
@@ -1169,7 +1168,7 @@ TYPICAL_PERCENTILE = 99.0
 # Lenses and two views (geometry/lens.py, geometry/epipolar.py)
 LENS_MISS_PX = 0.5  # between a pixel and its ray's: beyond, the lens model has no ray for it
 FIVE_POINT_LEAST_RAYS = 8  # that RANSAC is tried on
-FIVE_POINT_LEAST_FORWARD = 0.1  # cosine of a ray with the optical axis
+LEAST_FORWARD = 0.1  # cosine of a ray with the optical axis; others have no image point
 FIVE_POINT_CONFIDENCE = 0.999  # of RANSAC
 
 # Points from the rays of many views (geometry/intersection.py); scales in standard deviations

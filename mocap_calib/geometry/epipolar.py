@@ -10,8 +10,8 @@ import numpy as np
 
 from mocap_calib.config import (
     FIVE_POINT_CONFIDENCE,
-    FIVE_POINT_LEAST_FORWARD,
     FIVE_POINT_LEAST_RAYS,
+    LEAST_FORWARD,
 )
 from mocap_calib.geometry.rotation import skew
 from mocap_calib.types import Bools, Floats
@@ -86,7 +86,7 @@ def five_point(rays_a: Floats, rays_b: Floats, threshold: float) -> list[tuple[F
     rays_a, rays_b: `[N, 3]` unit rays of matches.
     threshold: largest epipolar error of an inlier in radians.
     """
-    least = FIVE_POINT_LEAST_FORWARD
+    least = LEAST_FORWARD
     forward = (rays_a[:, 2] > least) & (rays_b[:, 2] > least)
     if forward.sum() < FIVE_POINT_LEAST_RAYS:
         return []

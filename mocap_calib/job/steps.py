@@ -24,7 +24,7 @@ from mocap_calib.job.results import UNFINISHED, remove_unfinished, write_result
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import load_model
 from mocap_calib.pairs.solve import PairSolver, pair_mapper
-from mocap_calib.paper.solvers import choose_pair_solver
+from mocap_calib.paper import choose_pair_solver
 from mocap_calib.pipeline import calibrate
 from mocap_calib.results import CalibrationResult
 from mocap_calib.types import Mapper, Progress, silent

@@ -15,11 +15,11 @@ from mocap_calib.compute.parallel import map_in_threads, single_threaded_librari
 from mocap_calib.config import (
     COMPLETION_CONFIDENCE,
     COMPLETION_SPREAD,
+    LEAST_FORWARD,
     LEAST_JOINTS,
     LIFT_BEST_PERCENTILE,
     LIFT_CONFIDENCE,
     LIFT_LEAST_DEPTH,
-    LIFT_LEAST_FORWARD,
     LIFT_UPRIGHT_SAMPLE,
 )
 from mocap_calib.geometry.lens import pixels_from_points
@@ -206,7 +206,7 @@ def _project(rays: Floats, seen: Bools, virtual_from_camera: Floats) -> Floats:
     """Return the normalised image points `[B, J, 2]` of rays `[B, J, 3]` in virtual cameras."""
     known = np.where(seen[..., None], rays, [0.0, 0.0, 1.0])
     turned = known @ np.swapaxes(virtual_from_camera, 1, 2)
-    return turned[..., :2] / np.maximum(turned[..., 2:], LIFT_LEAST_FORWARD)
+    return turned[..., :2] / np.maximum(turned[..., 2:], LEAST_FORWARD)
 
 
 def _normalise(image: Floats, seen: Bools) -> Floats32:

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from mocap_calib.config import FIVE_POINT_CONFIDENCE, FIVE_POINT_LEAST_FORWARD, PairwiseConfig
+from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.pairs.affinity import mutual_best
 from mocap_calib.pairs.solve import PairProblem, judge_pair, mean_focal
@@ -64,12 +64,6 @@ class _Problem:
     threshold: float
     config: FivePointConfig
     estimator: Estimator
-
-    @property
-    def pairs_of_detections(self) -> tuple[int, int, int]:
-        """Number of frames, I and J."""
-        frames, rows = self.rays_a.shape[:2]
-        return frames, rows, self.rays_b.shape[1]
 
 
 def estimate_by_loransac(
@@ -147,7 +141,7 @@ def _candidates(problem: _Problem, rng: np.random.Generator) -> Iterator[Bools]:
     ]
     for k in rng.permutation(len(possible))[: problem.config.candidates]:
         frame, matches = possible[k]
-        mask = np.zeros(problem.pairs_of_detections, dtype=bool)
+        mask = np.zeros((*problem.rays_a.shape[:2], problem.rays_b.shape[1]), dtype=bool)
         for i, j in matches:
             mask[frame, i, j] = True
         yield mask
@@ -183,8 +177,8 @@ def _correspondences(problem: _Problem, matched: Bools) -> tuple[Floats, Floats]
     frame, i, j = np.nonzero(matched)
     rays_a = problem.rays_a[frame, i].reshape(-1, 3)
     rays_b = problem.rays_b[frame, j].reshape(-1, 3)
-    forward_a = np.nan_to_num(rays_a[:, 2]) > FIVE_POINT_LEAST_FORWARD
-    forward_b = np.nan_to_num(rays_b[:, 2]) > FIVE_POINT_LEAST_FORWARD
+    forward_a = np.nan_to_num(rays_a[:, 2]) > LEAST_FORWARD
+    forward_b = np.nan_to_num(rays_b[:, 2]) > LEAST_FORWARD
     both = forward_a & forward_b
     return rays_a[both], rays_b[both]
 

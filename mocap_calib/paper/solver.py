@@ -13,20 +13,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mocap_calib.config import PairwiseConfig
+from mocap_calib.config import LEAST_JOINTS, PairwiseConfig
+from mocap_calib.geometry.epipolar import depths
 from mocap_calib.lift.lift import rays_by_joint
 from mocap_calib.pairs.solve import PairProblem, judge_pair, mean_focal
-from mocap_calib.paper.batch import LEAST_JOINTS, Batch, PaperConfig, TwoViews, stack_problems
 from mocap_calib.paper.losses import (
-    depths,
-    full_geometric_loss,
+    Batch,
+    TwoViews,
     geometric_loss,
     keypoint_distance,
     matching_loss,
-    possible_matches,
     similarity,
     sinkhorn,
-    translation_direction,
+    stack_problems,
     with_dummies,
 )
 from mocap_calib.recording.sampling import evenly_spaced
@@ -40,6 +39,27 @@ _FAR_PX = 100.0  # a joint reprojected farther away, or behind a camera, counts 
 
 # Rotation vectors [B, 3] to the steered poses [B, F, I, N, 2] and [B, F, J, N, 2].
 SteerBoth = Callable[[Tensor], tuple[Tensor, Tensor]]
+GeometricLoss = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""
+
+    frames: int = 5  # of a pair of views at a time; the paper has one
+    iterations: int = 1000
+    learning_rate: float = 0.01
+    final_rate: float = 0.01  # of the learning rate, reached linearly
+    alpha: float = 3.0  # of the similarity
+    sharpness: float = 10.0  # of Sinkhorn; open in the paper
+    sweeps: int = 10  # of Sinkhorn; open in the paper
+    geometric_weight: float = 1.0  # lambda, "empirically determined"; 0 leaves L_geom out
+    # L_geom `[B]` of rotations, rays and weights; the paper does not eliminate the points
+    geometric_loss: GeometricLoss = geometric_loss
+    geometric_from: float = 0.4  # share of the iterations before L_geom is active
+    mutual: int = 2  # matches, mutual in both directions, before L_geom is active
+    tries: int = 5
+    success_px: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -174,19 +194,15 @@ def _match(
     The loss is the mean over the possible matches and both directions.
     """
     score = _similarity_both_ways(batch, steer_both, vector, config)  # (2, B, F, I, J)
-    present_a, present_b = batch.present_a, batch.present_b
-    weight = sinkhorn(
-        with_dummies(score, present_a, present_b),
-        sharpness=config.sharpness,
-        sweeps=config.sweeps,
-    )  # (2, B, F, S, S)
-    losses = matching_loss(weight, score, present_a, present_b)  # (2, B, F)
+    square = with_dummies(score, batch.possible)
+    weight = sinkhorn(square, sharpness=config.sharpness, sweeps=config.sweeps)  # (2, B, F, S, S)
+    losses = matching_loss(weight, score, batch.possible)  # (2, B, F)
     loss = losses.sum((0, 2)) / (2 * batch.most_matches.clamp_min(1))
     best_of_row = weight == weight.amax(-1, keepdim=True)
     best_of_column = weight == weight.amax(-2, keepdim=True)
     rows, columns = score.shape[-2:]
     mutual = (best_of_row & best_of_column).all(0)[..., :rows, :columns]
-    return loss, mutual & possible_matches(present_a, present_b)
+    return loss, mutual & batch.possible
 
 
 def _similarity_both_ways(
@@ -207,8 +223,7 @@ def _geometric_term(batch: Batch, vector: Tensor, mutual: Tensor, config: PaperC
     """
     needed = batch.most_matches.clamp(1, config.mutual)
     rays_a, rays_b, weight = _matched_rays(batch, mutual)
-    loss_of = full_geometric_loss if config.full_system else geometric_loss
-    loss = loss_of(matrix_from_vector(vector), rays_a, rays_b, weight)
+    loss = config.geometric_loss(matrix_from_vector(vector), rays_a, rays_b, weight)
     return torch.where(mutual.sum((1, 2, 3)) >= needed, loss, torch.zeros_like(loss))
 
 
@@ -225,53 +240,53 @@ def _matched_rays(batch: Batch, mutual: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
 
 def _solution(batch: Batch, k: int, vector: Tensor, mutual: Tensor) -> PaperSolution:
-    """Return translation, cheirality and reprojection error of problem k, in double precision."""
-    rays_a, rays_b, weight = (
-        part[0].double() for part in _matched_rays(batch.select([k]), mutual[None])
-    )
-    rays_a, rays_b = rays_a[weight > 0], rays_b[weight > 0]  # (P, 3)
-    rotation = matrix_from_vector(vector.double())
-    translation = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    error = float("inf")
+    """Return translation and reprojection error of problem k, in double precision."""
+    all_a, all_b, weight = (part[0] for part in _matched_rays(batch.select([k]), mutual[None]))
+    rays_a, rays_b = (rays[weight > 0].double().numpy() for rays in (all_a, all_b))  # [P, 3]
+    rotation = matrix_from_vector(vector.double()).numpy()
+    translation, error = np.array([0.0, 0.0, 1.0]), np.inf
     if len(rays_a) >= LEAST_JOINTS:
-        weight = torch.ones(len(rays_a)).double()
-        translation, _ = translation_direction(rotation, rays_a, rays_b, weight)
-        errors = reprojection_error(rotation, translation, rays_a, rays_b)
-        error_px = errors * batch.focal[k].item()
-        error = error_px.clamp_max(_FAR_PX).mean().item()
+        translation = translation_direction(rotation, rays_a, rays_b)
+        error_px = batch.focal[k].item() * _reprojection_error(
+            rotation, translation, rays_a, rays_b
+        )
+        error = float(np.minimum(error_px, _FAR_PX).mean())
     matches = torch.nonzero(mutual).numpy().astype(np.int64)
-    return PaperSolution(
-        rotation=rotation.numpy(),
-        translation=translation.numpy(),
-        matches=matches,
-        error=error,
-        tries=1,
-    )
+    return PaperSolution(rotation, translation, matches, error, tries=1)
 
 
-def reprojection_error(
-    rotation: Tensor, translation: Tensor, rays_a: Tensor, rays_b: Tensor
-) -> Tensor:
+def translation_direction(rotation: Floats, rays_a: Floats, rays_b: Floats) -> Floats:
+    """Return the unit translation `[3]` of b_from_a that best fits a rotation and matches.
+
+    The singular vector of the rows n = (R u_a) x u_b; its sign puts more points in front of both
+    cameras than behind both. rotation: `[3, 3]`; rays: `[N, 3]` of unit length.
+    """
+    direction = np.linalg.svd(np.cross(rays_a @ rotation.T, rays_b))[2][-1]
+    depth_a, depth_b = depths(rotation, direction, rays_a, rays_b)
+    in_front, behind = (depth_a > 0) & (depth_b > 0), (depth_a < 0) & (depth_b < 0)
+    return -direction if behind.sum() > in_front.sum() else direction
+
+
+def _reprojection_error(
+    rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats
+) -> Floats:
     """Return the reprojection error `[N]` in normalised image units, the mean of both views.
 
     The points are triangulated at the midpoints of the rays; infinite behind a camera. rotation:
     `[3, 3]` and translation: `[3]` of b_from_a; rays: `[N, 3]` of unit length.
     """
     depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
-    from_a = depth_a[:, None] * rays_a
     from_b = (depth_b[:, None] * rays_b - translation) @ rotation
-    point_in_a = (from_a + from_b) / 2
-    point_in_b = point_in_a @ rotation.T + translation
-    in_front = (point_in_a[:, 2] > 1e-9) & (point_in_b[:, 2] > 1e-9)
-    errors = (_image_distance(point_in_a, rays_a) + _image_distance(point_in_b, rays_b)) / 2
-    return torch.where(in_front, errors, torch.full_like(errors, torch.inf))
-
-
-def _image_distance(point: Tensor, ray: Tensor) -> Tensor:
-    """Return the distance `[N]` of points `[N, 3]` from rays `[N, 3]` in the normalised image."""
-    projected = point[:, :2] / point[:, 2:].clamp_min(1e-9)
-    seen = ray[:, :2] / ray[:, 2:]
-    return (projected - seen).norm(dim=-1)
+    point_in_a = (depth_a[:, None] * rays_a + from_b) / 2
+    points = (point_in_a, point_in_a @ rotation.T + translation)
+    in_front = np.all([point[:, 2] > 1e-9 for point in points], axis=0)
+    errors = [
+        np.linalg.norm(
+            point[:, :2] / np.maximum(point[:, 2:], 1e-9) - rays[:, :2] / rays[:, 2:], axis=-1
+        )
+        for point, rays in zip(points, (rays_a, rays_b), strict=True)
+    ]
+    return np.where(in_front, np.mean(errors, axis=0), np.inf)
 
 
 @dataclass(frozen=True)

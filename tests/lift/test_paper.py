@@ -1,13 +1,14 @@
 """The paper's system: its network, its losses, its solver."""
 
 from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from mocap_calib.geometry.epipolar import depths as depths_numpy
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,
@@ -18,22 +19,23 @@ from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
 from mocap_calib.lift.lifter import ModelConfig
 from mocap_calib.lift.weights import load_lifter
 from mocap_calib.paper import solver
-from mocap_calib.paper.batch import PaperConfig, TwoViews
 from mocap_calib.paper.five_point import estimate_by_loransac, five_point_over_matches
 from mocap_calib.paper.losses import (
-    collinearity_system,
-    depths,
-    full_geometric_loss,
+    TwoViews,
     geometric_loss,
     keypoint_distance,
     matching_loss,
     similarity,
     sinkhorn,
-    translation_direction,
-    translation_matrix,
     with_dummies,
 )
-from mocap_calib.paper.solver import PaperSolution, random_rotations, solve_pair
+from mocap_calib.paper.solver import (
+    PaperConfig,
+    PaperSolution,
+    random_rotations,
+    solve_pair,
+    translation_direction,
+)
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.synthetic import people
 from mocap_calib.training.checkpoint import load_steerer, save_model
@@ -53,6 +55,12 @@ from mocap_calib.training.train import measure_steering_error, train_steerer
 from mocap_calib.types import silent
 
 PEOPLE = load_skeleton("people")
+
+
+@pytest.fixture
+def benchmark(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    return import_module
 
 
 def random(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -254,14 +262,9 @@ def test_poses_of_a_single_joint_in_common_are_alike():
 
 @pytest.mark.parametrize(("rows", "columns"), [(4, 4), (2, 5), (5, 3)])
 def test_sinkhorn_marginals(rows, columns):
-    there_a, there_b = (
-        torch.ones(7, rows, dtype=torch.bool),
-        torch.ones(7, columns, dtype=torch.bool),
-    )
     score = with_dummies(
         torch.rand(7, rows, columns, generator=torch.Generator().manual_seed(0)).double(),
-        there_a,
-        there_b,
+        torch.ones(7, rows, columns, dtype=torch.bool),
     )
     weight = sinkhorn(score, sharpness=10.0, sweeps=1000)
     size = max(rows, columns)
@@ -271,30 +274,31 @@ def test_sinkhorn_marginals(rows, columns):
 
 def test_sinkhorn_finds_the_permutation_and_the_odd_one_out():
     score = torch.tensor([[0.1, 0.9, 0.2], [0.8, 0.1, 0.2]]).double()
-    there_a, there_b = torch.ones(2, dtype=torch.bool), torch.ones(3, dtype=torch.bool)
-    weight = sinkhorn(with_dummies(score, there_a, there_b), sharpness=50.0, sweeps=20)
+    possible = torch.ones(2, 3, dtype=torch.bool)
+    weight = sinkhorn(with_dummies(score, possible), sharpness=50.0, sweeps=20)
     assert weight[:2].argmax(-1).tolist() == [1, 0]
     assert weight[2, 2] > 0.99  # the dummy
-    assert matching_loss(weight, score, there_a, there_b).item() == pytest.approx(0.3, abs=0.01)
+    assert matching_loss(weight, score, possible).item() == pytest.approx(0.3, abs=0.01)
 
 
 def test_who_is_not_there_costs_nothing():
     score = random(3, 3).sigmoid()
-    there = torch.tensor([True, True, False])
-    weight = sinkhorn(with_dummies(score, there, there), sharpness=10.0, sweeps=20)
+    possible = torch.zeros(3, 3, dtype=torch.bool)
+    possible[:2, :2] = True
+    weight = sinkhorn(with_dummies(score, possible), sharpness=10.0, sweeps=20)
     expected = (weight * (1 - score))[:2, :2].sum()
-    torch.testing.assert_close(matching_loss(weight, score, there, there), expected)
+    torch.testing.assert_close(matching_loss(weight, score, possible), expected)
 
 
 def test_matches_are_the_best_of_their_row_and_of_their_column(monkeypatch):
     """In both views; of the weights, and not of a dummy."""
     score = torch.rand(2, 1, 40, 3, 3, generator=torch.Generator().manual_seed(0))
     monkeypatch.setattr(solver, "_similarity_both_ways", lambda *_: score)
-    present, config = torch.ones(1, 40, 3, dtype=torch.bool), PaperConfig()
-    batch = SimpleNamespace(present_a=present, present_b=present, most_matches=torch.tensor([120]))
+    possible, config = torch.ones(1, 40, 3, 3, dtype=torch.bool), PaperConfig()
+    batch = SimpleNamespace(possible=possible, most_matches=torch.tensor([120]))
     loss, mutual = solver._match(batch, None, None, config)
     weight = sinkhorn(
-        with_dummies(score, present, present), sharpness=config.sharpness, sweeps=config.sweeps
+        with_dummies(score, possible), sharpness=config.sharpness, sweeps=config.sweeps
     )
     row = weight.argmax(-1, keepdim=True) == torch.arange(weight.shape[-1])
     column = weight.argmax(-2, keepdim=True) == torch.arange(weight.shape[-2])[:, None]
@@ -305,53 +309,38 @@ def test_matches_are_the_best_of_their_row_and_of_their_column(monkeypatch):
 
 
 def test_gradient_of_the_matching_loss():
-    there = torch.ones(3, dtype=torch.bool)
+    possible = torch.ones(3, 3, dtype=torch.bool)
 
     def loss(score: torch.Tensor) -> torch.Tensor:
-        return matching_loss(
-            sinkhorn(with_dummies(score, there, there), sharpness=10.0, sweeps=5),
-            score,
-            there,
-            there,
-        )
+        weight = sinkhorn(with_dummies(score, possible), sharpness=10.0, sweeps=5)
+        return matching_loss(weight, score, possible)
 
     assert torch.autograd.gradcheck(loss, (random(3, 3).sigmoid().requires_grad_(),))
 
 
-def test_depths_of_many_poses_are_those_of_geometry():
-    """Two poses at once, as the solver has them."""
-    vector, t, rays_a, rays_b = two_views(7)
-    poses = torch.stack([matrix_from_vector(vector), matrix_from_vector(-vector)])
-    shifts = torch.stack([t, -2 * t])
-    found = depths(poses, shifts, rays_a.expand(2, 7, 3), rays_b.expand(2, 7, 3))
-    for k in range(2):
-        expected = depths_numpy(*(each.numpy() for each in (poses[k], shifts[k], rays_a, rays_b)))
-        for one, other in zip(found, expected, strict=True):
-            np.testing.assert_allclose(one[k], other, rtol=1e-9)
-
-
-def test_gradients_of_both_geometric_losses():
+def test_gradient_of_the_geometric_loss():
     vector, _, rays_a, rays_b = two_views(6)
     near = (vector + 0.1 * random(3)).requires_grad_()
     weight = torch.ones(6).double()
     assert torch.autograd.gradcheck(
         lambda v: geometric_loss(matrix_from_vector(v), rays_a, rays_b, weight), (near,)
     )
-    assert torch.autograd.gradcheck(
-        lambda v: full_geometric_loss(
-            matrix_from_vector(v)[None], rays_a[None], rays_b[None], weight[None]
-        ),
-        (near,),
-    )
 
 
-def test_geometric_losses_agree_on_the_minimiser():
-    """Both are zero at the truth, and descent from the same start ends there with either."""
+def test_the_whole_system_is_a_loss_of_the_same_minimiser(benchmark):
+    """Both forms are zero at the truth, and descent from the same start ends there with either."""
+    system = benchmark("protocol_full_system")
     vector, _, rays_a, rays_b = two_views(7)
     weight = torch.ones(7).double()
+    assert torch.autograd.gradcheck(
+        lambda v: system.full_geometric_loss(
+            matrix_from_vector(v)[None], rays_a[None], rays_b[None], weight[None]
+        ),
+        ((vector + 0.1 * random(3)).requires_grad_(),),
+    )
     forms = (
         lambda r: geometric_loss(r, rays_a, rays_b, weight),
-        lambda r: full_geometric_loss(r[None], rays_a[None], rays_b[None], weight[None])[0],
+        lambda r: system.full_geometric_loss(r[None], rays_a[None], rays_b[None], weight[None])[0],
     )
     for form in forms:
         at_truth = form(matrix_from_vector(vector))
@@ -367,22 +356,21 @@ def test_geometric_losses_agree_on_the_minimiser():
         assert (found - vector).norm() < 2e-3
 
 
-def test_the_whole_system_without_its_points_is_the_small_one_but_for_weights():
+def test_the_whole_system_without_its_points_is_the_small_one_but_for_weights(benchmark):
     """min over the points of |A [x t]|^2 is t' S t, S = sum (1 + 1 / (2 |n|^2)) n n', at any R."""
     vector, _, rays_a, rays_b = two_views(7)
     rotation = matrix_from_vector(vector + 0.3)
-    system = collinearity_system(rotation, rays_a, rays_b)
+    system = benchmark("protocol_full_system").collinearity_system(rotation, rays_a, rays_b)
     square = system.T @ system
     inner, mixed, outer = square[:-3, :-3], square[:-3, -3:], square[-3:, -3:]
     schur = outer - mixed.T @ torch.linalg.solve(inner, mixed)
     normal = torch.linalg.cross(rays_a @ rotation.T, rays_b)
     weight = 1 + 0.5 / normal.square().sum(-1)
-    torch.testing.assert_close(
-        schur, translation_matrix(rotation, rays_a, rays_b, weight), atol=1e-10, rtol=0
-    )
+    matrix = torch.einsum("n,ni,nj->ij", weight, normal, normal)
+    torch.testing.assert_close(schur, matrix, atol=1e-10, rtol=0)
 
 
-def test_the_solver_takes_the_whole_system_as_well():
+def test_the_solver_takes_the_whole_system_as_well(benchmark):
     """8 steps on one frame from 10 degrees away: both come nearer, on ways of their own."""
     views, vector, _ = steered_scene()
     views = replace(views, rays_a=views.rays_a[:1], rays_b=views.rays_b[:1])
@@ -392,11 +380,11 @@ def test_the_solver_takes_the_whole_system_as_well():
         solve_pair(
             views,
             model,
-            replace(config, full_system=full),
+            replace(config, geometric_loss=loss),
             torch.Generator().manual_seed(0),
             start=start,
         ).rotation
-        for full in (True, False)
+        for loss in (benchmark("protocol_full_system").full_geometric_loss, geometric_loss)
     )
     before, *after = (
         np.degrees(angle_between(each, matrix_numpy(vector.numpy())))
@@ -408,11 +396,9 @@ def test_the_solver_takes_the_whole_system_as_well():
 
 def test_translation_and_cheirality():
     vector, t, rays_a, rays_b = two_views(10)
-    found, ahead = translation_direction(
-        matrix_from_vector(vector), rays_a, rays_b, torch.ones(10).double()
-    )
-    torch.testing.assert_close(found, t)
-    assert ahead == 1
+    rotation = matrix_from_vector(vector)
+    found = translation_direction(*(part.numpy() for part in (rotation, rays_a, rays_b)))
+    np.testing.assert_allclose(found, t)
 
 
 def steered_scene() -> tuple[TwoViews, torch.Tensor, torch.Tensor]:
