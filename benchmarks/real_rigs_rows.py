@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.clocks.in_step import held_out_error
 from mocap_calib.config import Config
 from mocap_calib.front import read_recording
 from mocap_calib.geometry.lens import change_intrinsics, pixels_from_points, rays_from_pixels
@@ -139,13 +138,10 @@ def synced(recording: Path, *, in_step: bool) -> list[Figure]:
         replace(Config().sync, mode="off"),
     )
     found, blind = calibrate(given), calibrate(given, config=replace(Config(), sync=off))
-    rest, rest_blind = (
-        held_out_error(of.recording, of.rig, of.matches, of.time_offsets.applied, Config())
-        for of in (found.groups[0], blind.groups[0])
-    )
+    error, error_blind = (np.nanmedian(of.groups[0].poses.error) for of in (found, blind))
     clocks_found = (each for each in found.clocks.cameras if each.differs)
     figures += [Figure(f"{c.camera}: {c.kind}", c.offset, np.inf) for c in clocks_found]
-    return [*figures, Figure("held out with / without", rest / rest_blind, 1.0)]
+    return [*figures, Figure("error with / without", float(error / error_blind), 1.0)]
 
 
 def moved(recording: Path, *, degrees: float) -> list[Figure]:
@@ -214,17 +210,12 @@ def clocks(recording: Path, *, off: bool) -> list[Figure]:
     given = read_recording(recording / "keypoints", recording / "intrinsics.toml")
     found, without = with_and_without_clocks(given)
     used = found.time_offsets.applied
-    rest, rest_without = (
-        held_out_error(given, group.rig, without.matches, tau, Config())
-        for group, tau in ((found, used), (without, 0 * used))
-    )
     ratio = float(np.nanmedian(found.poses.error) / np.nanmedian(without.poses.error))
     offsets = zip(found.rig.names, found.time_offsets.tau.tolist(), strict=True)
     return [
         *(Figure(f"{name} (frames)", tau, np.inf) for name, tau in offsets if np.isfinite(tau)),
         Figure("not used", float(off and not used.any()), 0.0),
         Figure("error with / without", ratio, 1.0),
-        Figure("held out with / without", rest / rest_without, 1.0),
     ]
 
 
@@ -262,7 +253,7 @@ def bump(recording: Path, folder: Path, turn: np.ndarray) -> tuple[str, int, int
 def with_and_without_clocks(recording: Recording) -> tuple[GroupResult, GroupResult]:
     """Return what is found of the largest group where clocks are looked at, and where not."""
     config = Config()
-    without = replace(config, subframe=replace(config.subframe, enabled=False))
+    without = replace(config, sync=replace(config.sync, subframe=False))
     found, blind = (calibrate(recording, config=each).groups[0] for each in (config, without))
     return found, blind
 

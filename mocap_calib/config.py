@@ -42,102 +42,23 @@ SyncMode = Literal["auto", "check", "off"]
 SYNC_MODES: tuple[SyncMode, ...] = get_args(SyncMode)
 # frames of one camera for a frame of another: equal, or one of them skips every second
 CLOCK_RATES = (1.0, 0.5, 2.0)
-CROWDED_QUANTILE = 0.95  # of the frames have no more detections than are compared
-RATE_LEAST_SHARE = 0.3  # of the frames that a camera of another rate shows, of those looked at
-LARGEST_STEP = 4  # frames that a camera may be ahead by at once, where the others lost so many
-VOTE_TOLERANCE = 1  # frames: so near are the offsets at which cameras agree that say the same
 
 
 @dataclass(frozen=True)
 class SyncConfig:
-    """How the clocks of the cameras are compared before there is a rig.
+    """How the clocks of the cameras are compared.
 
     mode: one of `SYNC_MODES`.
     window: frames by which a camera may be early or late.
     rates: cameras whose frame rates are known to be others: (name, frames of this camera for one
         of the others).
-
-    What is looked at:
-    frames, detections: at most so many in all stretches together.
-    stretch_windows: length of a stretch, in windows.
-    least_frames: that a view sees, and that two views have in common at an offset.
-
-    The search for the rotation of a pair (clocks/timing.py):
-    axes: of the bodies' joints that are compared: bodies differ in few ways.
-    pose_tolerance: RMS joint distance of two lifts of one body.
-    shapes, shapes_compared, alike: bodies of one view, each with so many of those of the other
-        that are the most alike, give the candidates.
-    searched_bodies, refined_bodies: of one view, on which candidates are scored and refined.
-    hypotheses_refined, separation_deg, refinements: candidates that are refined, and how often.
-    block_frames, block_share: frames of a block of time, which has an offset of its own, and the
-        share of them in which both views must see somebody.
-
-    What decides (clocks/search.py and beside it). Agreement is counted in standard
-    deviations over all pairs of frames of two views. Measured in step: 1.5 to 4.5 where people and
-    animals move (H36M, HumanEva, dogs, mice by DANNCE, Pose2Sim), 1.0 in a slow crowd (Shelf) and
-    0.4 in 120 frames of it, 0.8 in sparse frames (MVOR), 0.7 for poor lifts (AcinoSet), below 0.3
-    where nothing can be said (sleap mouse, caliscope). The best constant offsets were exact in all
-    that reached 0.6.
-    step_price: of a step of a clock, in standard deviations; most_steps: share of the frames;
-        least_step_gain: by which steps must agree better than a constant offset; wandering_score:
-        agreement from which on steps may go either way, as where several cameras lost frames.
-    least_restless_gain: by steps of one of several cameras, held out, for which maps are looked for
-        from `roots` cameras. In step no camera gains 0.003 (0.05 in a slow crowd, Shelf);
-        where all cameras lost 2 % of the frames one gains 0.039 to 0.22 in four recordings, and
-        none in one of poor agreement (panoptic), whose clocks are not known then.
-    decisive: standard errors over `evidence_blocks` blocks of time (at least `least_blocks`) that
-        decide; decisive_of_good: where the agreement reaches `good_score`.
-    least_gain, least_score, least_votes: agreement that an offset must gain and reach, and the
-        share of the other cameras that agree best there.
-    unanimous_votes, unanimous_gain, decisive_of_unanimous: what decides where the others, each by
-        itself, say the same offset of at least `distant` frames.
-    ambiguity: standard errors by which any distant offset must be worse.
-    linear_steps, linear_error: steps, and frames off a line, of a clock of another rate.
-    least_rate_gain: agreement that another rate must gain.
+    subframe: whether offsets of parts of a frame are estimated and applied.
     """
 
     mode: SyncMode = "auto"
     window: int = 60
     rates: tuple[tuple[str, float], ...] = ()
-    frames: int = 400
-    detections: int = 5000
-    stretch_windows: float = 3.0
-    least_frames: int = 20
-    axes: int = 10
-    pose_tolerance: float = 0.35
-    shapes: int = 60
-    shapes_compared: int = 400
-    alike: int = 2
-    searched_bodies: int = 60
-    refined_bodies: int = 200
-    hypotheses_refined: int = 3
-    separation_deg: float = 15.0
-    refinements: int = 3
-    block_frames: int = 30
-    block_share: float = 0.6
-    rate_gain: float = 0.05
-    step_price: float = 3.0
-    most_steps: float = 0.3
-    least_step_gain: float = 0.04
-    wandering_score: float = 1.6
-    least_restless_gain: float = 0.02
-    roots: int = 8
-    decisive: float = 5.0
-    decisive_of_good: float = 3.0
-    good_score: float = 1.2
-    least_score: float = 0.5
-    least_votes: float = 0.5
-    unanimous_votes: float = 0.75
-    unanimous_gain: float = 0.1
-    decisive_of_unanimous: float = 1.5
-    distant: int = 4
-    least_rate_gain: float = 0.5
-    least_gain: float = 0.03
-    ambiguity: float = 2.5
-    least_blocks: int = 6
-    linear_steps: int = 4
-    linear_error: float = 1.0
-    evidence_blocks: int = 25
+    subframe: bool = True
 
 
 @dataclass(frozen=True)
@@ -771,49 +692,6 @@ class UnrelatedConfig:
 
 
 @dataclass(frozen=True)
-class SubframeConfig:
-    """Offsets of clocks within about a frame; see `clocks.time_offsets`.
-
-    enabled: look for them at all.
-    screen_points: triangulated points that a first look takes, and points: that an estimate takes.
-    stretch: frames that follow each other, of which the points come; further stretches are spread
-        over the recording.
-    least_smoothness: 1 = points move without jerks, 0 = as frames of different times would have
-        them. Measured: 0.6 to 0.96 in recordings of moving subjects, 0.15 and 0.26 in samples of
-        single frames, 0.26 in one whose subjects hardly move, 0.40 of a fly.
-    least_points: that move and that a view sees, for its clock to be told.
-    screen_significance: standard deviations that a first look must find for more.
-    significance, least_offset: standard deviations, and frames, that an offset must have to be
-        used. Measured: at most 3.6 standard deviations in a hundred parts of eleven recordings in
-        step; 6 to 60 in seven of them where cameras take every second or third frame.
-    most_offset: frames beyond which none is used: points are known to move straight, or on a
-        parabola, from a frame before to a frame after. Offsets of 2 frames and more end anywhere.
-    uncertainty: standard deviation of an offset before anything is known, in frames.
-    rounds: of adjusting, each with the motion of the one before, until no offset changes by more
-        than `settled` frames. Each ends when a step lowers the cost by no more than the share
-        `tolerance`.
-    held_out: share of the detections that are left out, and must be better predicted with the
-        offsets than without.
-    """
-
-    enabled: bool = True
-    screen_points: int = 4000
-    points: int = 12_000
-    stretch: int = 10
-    least_smoothness: float = 0.5
-    least_points: int = 100
-    screen_significance: float = 3.0
-    significance: float = 5.0
-    least_offset: float = 0.1
-    most_offset: float = 1.2
-    uncertainty: float = 2.0
-    rounds: int = 7
-    settled: float = 0.01
-    tolerance: float = 1e-4
-    held_out: float = 0.15
-
-
-@dataclass(frozen=True)
 class VerifyConfig:
     """Whether a calibration goes with keypoints, and which camera moved since.
 
@@ -1103,7 +981,6 @@ class Config:
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     moved: MovedConfig = MovedConfig()
     unrelated: UnrelatedConfig = UnrelatedConfig()
-    subframe: SubframeConfig = SubframeConfig()
     exchanged: ExchangedConfig = ExchangedConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
     verify: VerifyConfig = VerifyConfig()

@@ -1,6 +1,6 @@
 """The order of the stages and nothing else.
 
-synchronise -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same
+sample -> lift -> pairs -> loops -> synchronise, and for each group of cameras that see the same
 bodies:
 average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate -> verdict
 -> smooth -> world.
@@ -18,8 +18,8 @@ import numpy as np
 
 from mocap_calib.adjust.estimated_cameras import estimate_cameras
 from mocap_calib.adjust.refine import adjust_from_best_start
-from mocap_calib.clocks.common_clock import synchronise
-from mocap_calib.clocks.subframe import settle_clocks
+from mocap_calib.clocks.estimate import calibrate_on_clocks, estimate_clocks
+from mocap_calib.clocks.subframe import synchronise_detections
 from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, Refinement
@@ -32,7 +32,7 @@ from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import AUTO, choose_model
 from mocap_calib.pairs.solve import PairSolver
 from mocap_calib.poses.stage import smooth_group
-from mocap_calib.recording.retiming import retime
+from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.recording.views import choose_refinement
@@ -112,23 +112,23 @@ def calibrate(
         progress=progress,
     )
     with single_threaded_libraries():
+        said = clocks_of_rates(recording, dict(config.sync.rates))
+        recording = retime(recording, said)
+        observed = observe(recording)
         with clock("synchronise"):
-            clocks = synchronise(recording, lift_sample, config, seed=seed)
+            clocks = estimate_clocks(recording, lift_sample, observed.rotations, config, seed=seed)
+        calibrated, clocks = calibrate_on_clocks(
+            recording, clocks, calibrate_once, config.sync, observed=observed
+        )
         recording = retime(recording, clocks)
-        calibrated = calibrate_once(recording)
         last = Clock()
         with last("faults"):
             result = mend_faults(recording, calibrated, calibrate_once)
         with last("smooth"):
-            result = _smooth(result, progress)
+            groups = (smooth_group(group, config, progress=progress) for group in result.groups)
+            result = replace(result, groups=tuple(groups))
         result = _spent_too(result, last.seconds)
-    return place_result(judge(add_clocks(result, clocks)))
-
-
-def _smooth(result: CalibrationResult, progress: Progress) -> CalibrationResult:
-    """Return the result with the best estimates of the poses of all groups."""
-    groups = (smooth_group(group, result.config, progress=progress) for group in result.groups)
-    return replace(result, groups=tuple(groups))
+    return place_result(judge(add_clocks(result, clocks.after(said))))
 
 
 def _spent_too(result: CalibrationResult, seconds: Mapping[str, float]) -> CalibrationResult:
@@ -139,6 +139,7 @@ def _spent_too(result: CalibrationResult, seconds: Mapping[str, float]) -> Calib
 
 def _calibrate_recording(
     recording: Recording,
+    observed: Observed | None = None,
     *,
     observe: Callable[[Recording], Observed],
     config: Config,
@@ -146,12 +147,12 @@ def _calibrate_recording(
     seed: int,
     progress: Progress,
 ) -> tuple[Observed, CalibrationResult]:
-    """Calibrate all groups of cameras of a recording as it is."""
-    observed = observe(hide_blind_spots(recording))
+    """Calibrate all groups of cameras of a recording; it is observed here where it was not."""
+    observed = observed or observe(recording)
     if config.intrinsics.refine != "none":
         with clock("intrinsics"):
             cameras = estimate_cameras(observed, config, progress=progress)
-        observed = observe(hide_blind_spots(replace(recording, cameras=cameras)))
+        observed = observe(replace(recording, cameras=cameras))
     groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
     return observed, _join_groups(observed, groups, config=config, seed=seed)
 
@@ -168,6 +169,7 @@ def _observe(
     pair_solver: PairSolver | None,
 ) -> Observed:
     """Return what is known before a rig is built: sample -> lift -> pairs -> loops."""
+    recording = hide_blind_spots(recording)
     with clock("sample"):
         sample_frames = choose_sample_frames(recording, config.sample)
         sample = take_sample(recording, sample_frames)
@@ -277,7 +279,7 @@ def _calibrate_cameras(
         )
         matches = finalise_identities(recording, adjusted.rig, matches, config)
     with clock("clocks"):
-        observed, adjusted, offsets = settle_clocks(observed, adjusted, matches, config)
+        observed, adjusted, offsets = synchronise_detections(observed, adjusted, matches, config)
     return conclude(
         observed,
         averaged,

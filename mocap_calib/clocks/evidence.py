@@ -1,120 +1,149 @@
-"""Weigh whether a camera's clock differs from the common one, or only seems to."""
+"""The agreement of cameras in any two frames, and what it is evidence of.
 
-from dataclasses import replace
+A camera's *map* is its own frame at each frame of a clock that is common to all. Given the maps of
+the others, the agreement of a camera with them is a table over its own frames.
+
+Evidence is counted in nats: by how much it favours a map over the frame numbers as they are, given
+the spread of the agreement over blocks of time.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.clocks.paths import (
-    Agreements,
-    Pair,
-    Ridge,
-    agreement_table,
-    standardise,
-)
-from mocap_calib.clocks.timing import Singles, ViewInTime, compare_in_time
-from mocap_calib.config import VOTE_TOLERANCE, SyncConfig
+from mocap_calib.clocks.compare import LEAST_FRAMES, Pair, Singles
+from mocap_calib.kernels import clocks as kernels
+from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Bools, Floats, Ints
 
+DECISIVE = 3.0  # nats, odds of 20 to 1
+_BLOCKS = 25  # of time: neighbouring frames err alike, blocks do not
+LEAST_BLOCK = 5  # frames
 
-def weigh_clock(
-    agreements: Agreements,
-    views: list[ViewInTime],
-    view: int,
-    ridge: Ridge,
-    *,
-    rate: float,
-    maps: Ints,
-    config: SyncConfig,
-) -> dict[str, float]:
-    """Return the evidence for the map of one camera, against that of a camera in step.
 
-    score: agreement with the other cameras, in standard deviations over all pairs of frames.
-    gain: by how much it is more than in step; sigma: that, in standard errors.
-    margin: by how many standard errors it is more than at any one offset that is no neighbour.
-    votes: the share of the other cameras that agree best at this offset, each by itself.
+@dataclass(frozen=True)
+class Agreements:
+    """The agreement of the pairs of so many views in any two frames.
 
-    Cameras that differ alike say nothing: they would agree as well if all of them were in step.
-
-    maps: `[view, stretch, frame]` own frames of all cameras, -1 = none.
+    values: (a, b) -> `[stretch, frame of a, frame of b]` in standard deviations over all pairs of
+        frames, 0 where nothing is known. window: frames by which a camera may be early or late.
     """
-    agreements = _with_witnesses(agreements, view, maps)
-    partners = len(agreements.partners(view))
-    reach = agreements.shape[1]
-    table = agreement_table(agreements, view, maps, rate, window=reach)
-    own = ridge.frames
-    agreement, shown = along_map(table, own, rate)
-    if ridge.steps:
-        agreement = ridge.held_out
-    if not partners or not shown.any():
-        return dict.fromkeys(("score", "gain", "sigma", "margin", "votes", "partners"), 0.0)
-    evidence = {"score": float(agreement[shown].mean()) / partners, "gain": 0.0, "sigma": 0.0}
-    time = np.arange(own.shape[1])
-    if (own != time)[own >= 0].any():
-        same = agreement_table(agreements, view, maps, 1.0)[..., agreements.window]
-        refitted = _refit_in_step(agreements, views, view, maps, config)
-        other = agreement_table(refitted, view, maps, 1.0)[..., agreements.window]
-        alternative = other if other.sum() > same.sum() else same
-        difference = (agreement - alternative) / partners
-        evidence["gain"] = float(difference[shown].mean())
-        evidence["sigma"] = standard_errors(difference, config, shown)
-    evidence["partners"] = partners
-    evidence["votes"] = _votes(agreements, view, maps, rate)
-    evidence["margin"] = _margin(table, agreement, shown, config)
-    return evidence
+
+    views: int
+    values: Mapping[Pair, Singles]
+    window: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of stretches, and of the frames of each."""
+        stretches, frames, _ = next(iter(self.values.values())).shape
+        return stretches, frames
+
+    def between(self, view: int, other: int) -> Singles:
+        """Return `[stretch, frame of other, frame of view]`."""
+        if (other, view) in self.values:
+            return self.values[other, view]
+        return self.values[view, other].swapaxes(1, 2)
+
+    def partners(self, view: int) -> list[int]:
+        """Return the views that this one is compared with."""
+        return sorted({a + b - view for a, b in self.values if view in (a, b)})
 
 
-def _with_witnesses(agreements: Agreements, view: int, maps: Ints) -> Agreements:
-    """Return the agreements without the pairs of this camera and cameras that differ alike.
+@dataclass(frozen=True)
+class Timing:
+    """The maps of all cameras.
 
-    The map of a camera that differs alike is at most `VOTE_TOLERANCE` frames from the map of this
-    camera, and nearer to it than to the map of a camera in step.
+    maps: `[view, stretch, frame]` own frames, -1 = none. rates: `[view]` own frames for one of the
+    common clock. agreement: `[view, stretch, frame]` with all partners together; where a map has
+    steps, in blocks of frames that the map was found without.
+    """
+
+    maps: Ints
+    rates: Floats
+    agreement: Floats
+
+    @classmethod
+    def synchronous(cls, agreements: Agreements) -> "Timing":
+        """Return the timing of frame numbers as they are."""
+        shape = (agreements.views, *agreements.shape)
+        maps = np.broadcast_to(np.arange(shape[2]), shape)
+        return cls(maps, np.ones(shape[0]), np.zeros(shape))
+
+    def change(self, view: int, own: Ints, rate: float, agreement: Floats) -> "Timing":
+        """Return the timing with another map `[stretch, frame]` of one camera."""
+        maps, rates, all_agreement = self.maps.copy(), self.rates.copy(), self.agreement.copy()
+        maps[view], rates[view], all_agreement[view] = own, rate, agreement
+        return Timing(maps, rates, all_agreement)
+
+    def offsets(self, view: int) -> Ints:
+        """Return the offsets `[frame]` of one camera where its map is known."""
+        time = np.arange(self.maps.shape[2])
+        return (self.maps[view] - np.round(self.rates[view] * time).astype(np.int64))[
+            self.maps[view] >= 0
+        ]
+
+    def is_constant(self, view: int) -> bool:
+        """Return whether the map of a camera has no step."""
+        return np.ptp(self.offsets(view)) == 0 if len(self.offsets(view)) else True
+
+
+def evidence(difference: Floats, shown: Bools) -> float:
+    """Return the evidence, in nats, that the mean of `[stretch, frame]` is not 0; < 0 where below.
+
+    The log likelihood ratio of normal errors of unknown size, over blocks of time.
+    """
+    values = difference[shown]
+    if len(values) < LEAST_FRAMES:
+        return 0.0
+    block = time_blocks(len(values))
+    count = np.bincount(block)
+    means = np.bincount(block, values) / count
+    ratio = means.mean() ** 2 / max(means.var(), 1e-12)
+    return float(np.sign(means.mean()) * len(count) / 2 * np.log1p(ratio))
+
+
+def time_blocks(frames: int) -> Ints:
+    """Return the block `[frame]` of each of so many frames: 25 at most, of 5 frames at least."""
+    count = min(_BLOCKS, frames // LEAST_BLOCK)
+    return np.arange(frames) * count // max(frames, 1)
+
+
+def standardise(values: Singles, like: Singles) -> Singles:
+    """Return agreement in standard deviations of another one from its median, 0 = not known."""
+    known = like[np.isfinite(like)]
+    if not len(known):
+        return np.zeros_like(values)
+    scaled = (values - np.median(known)) / max(float(known.std()), 1e-3)
+    return np.where(np.isfinite(values), scaled, np.float32(0.0))
+
+
+def camera_table(
+    agreements: Agreements,
+    maps: Ints,
+    view: int,
+    rate: float,
+    partners: Sequence[int],
+    *,
+    window: int,
+) -> Floats:
+    """Return how well each frame of a camera agrees with the others, `[stretch, frame, offset]`.
+
+    At frame t of the common clock its own frame is rate t + offset, offsets from -window to window.
     """
     time = np.arange(maps.shape[2])
-    alike = set()
-    for other in agreements.partners(view):
-        known = (maps[view] >= 0) & (maps[other] >= 0)
-        apart = np.abs(maps[other] - maps[view])[known]
-        late = np.abs(maps[other] - time)[known]
-        if known.any() and apart.mean() <= VOTE_TOLERANCE and apart.mean() < late.mean():
-            alike.add(other)
-    kept = {
-        (a, b): values
-        for (a, b), values in agreements.values.items()
-        if not (view in (a, b) and alike & {a, b})
-    }
-    return replace(agreements, values=kept)
-
-
-def standard_errors(difference: Floats, config: SyncConfig, shown: Bools | None = None) -> float:
-    """Return the mean of `[stretch, frame]` in its standard errors, over blocks of time.
-
-    Neighbouring frames err alike: blocks are what is independent. shown: `[stretch, frame]` the
-    frames that count.
-    """
-    values = difference.ravel() if shown is None else difference[shown]
-    each = max(-(-len(values) // config.evidence_blocks), 5)
-    count = len(values) // each
-    if count < config.least_blocks:
-        return 0.0
-    means = values[: count * each].reshape(count, each).mean(1)
-    error = float(means.std(ddof=1)) / np.sqrt(count)
-    return float(means.mean() / max(error, 1e-9))
-
-
-def is_decisive(sigma: float, score: float, config: SyncConfig) -> bool:
-    """Return whether so many standard errors decide, where cameras agree so well with each other.
-
-    sigma, score: as of `weigh_clock`.
-    """
-    good = score >= config.good_score
-    return sigma >= (config.decisive_of_good if good else config.decisive)
+    exact = np.isclose(rate * time % 1, 0)
+    first = np.round(rate * time).astype(np.int64) - window
+    table = np.zeros((agreements.shape[0], len(time), 2 * window + 1))
+    for other in partners:
+        row = np.where(exact, maps[other], -1)
+        kernels.add_windows(*contiguous(agreements.between(view, other), row, first), table)
+    return table
 
 
 def along_map(table: Floats, own: Ints, rate: float) -> tuple[Floats, Bools]:
-    """Return what a table `[stretch, frame, offset]` says of a map `[stretch, frame]`.
-
-    The agreement `[stretch, frame]`, and where it is known.
-    """
+    """Return the agreement `[stretch, frame]` of a map in a table, and where it is known."""
     time = np.arange(own.shape[1])
     place = own - np.round(rate * time).astype(np.int64) + table.shape[2] // 2
     shown = (own >= 0) & (place >= 0) & (place < table.shape[2])
@@ -122,60 +151,76 @@ def along_map(table: Floats, own: Ints, rate: float) -> tuple[Floats, Bools]:
     return np.where(shown, np.take_along_axis(table, index, 2)[..., 0], 0.0), shown
 
 
-def _refit_in_step(
-    agreements: Agreements,
-    views: list[ViewInTime],
-    view: int,
-    maps: Ints,
-    config: SyncConfig,
-) -> Agreements:
-    """Return the agreements with the best rotations of a camera that were in step.
-
-    Those with the cameras that are on the common clock: the best rotation at one offset would
-    count against all others.
-    """
-    near = replace(config, window=1)
-    time = np.arange(maps.shape[2])
-    values: dict[Pair, Singles] = dict(agreements.values)
-    for other in agreements.partners(view):
-        if (maps[other] != time)[maps[other] >= 0].any():
-            continue
-        a, b = min(view, other), max(view, other)
-        found = compare_in_time(views[a], views[b], near, np.random.default_rng(0))
-        if found is not None:
-            values[a, b] = standardise(agreements.found[a, b], found.values)
-    return replace(agreements, values=values)
-
-
-def _votes(agreements: Agreements, view: int, maps: Ints, rate: float) -> float:
-    """Return the share of the other cameras that agree best near the map of a camera.
-
-    0 where no other camera can be compared with it.
-    """
-    own, time = maps[view], np.arange(maps.shape[2])
-    place = np.median((own - np.round(rate * time))[own >= 0]) + agreements.window
-    votes = []
-    for other in agreements.partners(view):
-        table = agreement_table(agreements, view, maps, rate, partners=[other])
-        curve = table.sum((0, 1))
-        votes.append(abs(curve.argmax() - place) <= VOTE_TOLERANCE)
-    return float(np.mean(votes)) if votes else 0.0
-
-
-def _margin(table: Floats, agreement: Floats, shown: Bools, config: SyncConfig) -> float:
-    """Return by how many standard errors a map is better than any distant constant offset.
+def _margin(table: Floats, agreement: Floats, shown: Bools) -> float:
+    """Return by how many nats a map is better than any distant constant offset.
 
     Offsets are distant beyond the place where the curve about the best has fallen by half.
     """
     curve = np.where(shown[..., None], table, 0.0).sum((0, 1))
     best = int(curve.argmax())
     low = curve < 0.5 * curve[best]
-    below = np.flatnonzero(low[:best])
-    above = np.flatnonzero(low[best:])
+    below, above = np.flatnonzero(low[:best]), np.flatnonzero(low[best:])
     left = below[-1] if len(below) else 0
     right = best + above[0] if len(above) else len(curve)
     distant = np.r_[0:left, right : len(curve)]
     if not len(distant):
         return 0.0
     rival = distant[curve[distant].argmax()]
-    return standard_errors(agreement - table[..., rival], config, shown)
+    return evidence(agreement - table[..., rival], shown)
+
+
+def weigh(
+    agreements: Agreements, in_step: Agreements, timing: Timing, view: int
+) -> dict[str, float]:
+    """Return the evidence for the map of one camera.
+
+    score: agreement with the other cameras, in standard deviations over all pairs of frames.
+    gain: nats by which it is more than with its frame numbers as they are; 0 for these.
+    margin: nats by which it is more than at any one offset that is no neighbour.
+
+    Cameras that differ alike are no evidence: they would agree as well if all of them were in step.
+
+    in_step: the agreement under the rotations of pairs that are in step.
+    """
+    witnesses = _witnesses(agreements, timing, view)
+    own, rate = timing.maps[view], float(timing.rates[view])
+    table = camera_table(agreements, timing.maps, view, rate, witnesses, window=agreements.shape[1])
+    agreement, shown = along_map(table, own, rate)
+    if not witnesses or not shown.any():
+        return {"score": 0.0, "gain": 0.0, "margin": 0.0, "partners": 0.0}
+    if not timing.is_constant(view):
+        agreement = timing.agreement[view]
+    found = {
+        "score": float(agreement[shown].mean()) / len(witnesses),
+        "gain": 0.0,
+        "margin": _margin(table, agreement, shown),
+        "partners": float(len(witnesses)),
+    }
+    time = np.arange(own.shape[1])
+    if (own != time)[own >= 0].any():
+        common = [(timing.maps[other] == time).all() for other in range(agreements.views)]
+        values = {
+            (a, b): (in_step.values if common[a + b - view] else agreements.values)[a, b]
+            for a, b in agreements.values
+            if view in (a, b)
+        }
+        known = [
+            camera_table(each, timing.maps, view, 1.0, witnesses, window=0)[..., 0]
+            for each in (agreements, replace(agreements, values=values))
+        ]
+        as_numbered = max(known, key=np.sum)
+        found["gain"] = evidence(agreement - as_numbered, shown)
+    return found
+
+
+def _witnesses(agreements: Agreements, timing: Timing, view: int) -> list[int]:
+    """Return the partners of a camera but those that differ alike, within a frame."""
+    maps, time = timing.maps, np.arange(timing.maps.shape[2])
+    found = []
+    for other in agreements.partners(view):
+        known = (maps[view] >= 0) & (maps[other] >= 0)
+        apart = np.abs(maps[other] - maps[view])[known]
+        late = np.abs(maps[other] - time)[known]
+        if not (known.any() and apart.mean() <= 1 and apart.mean() < late.mean()):
+            found.append(other)
+    return found

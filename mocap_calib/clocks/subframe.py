@@ -1,30 +1,279 @@
-"""Settle what part of a frame the clocks of cameras are off by, for all that follows."""
+"""Estimate by what part of a frame the clocks of cameras differ, together with the rig.
 
-from dataclasses import replace
+Where a subject moves, a camera whose clock is off sees it where it was or will be. Predicted is
+the motion of points in 3D; images are never interpolated, because the mean of two detections has
+less noise than one, and the offset that has the least noise would look best.
 
-from mocap_calib.clocks.in_step import bring_in_step
-from mocap_calib.clocks.time_offsets import find_time_offsets
+The motion follows from the neighbours of each point. It stays as it is while poses, points and
+offsets are adjusted, and follows anew from the adjusted points.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_calib.adjust.covariance import find_covariance
+from mocap_calib.adjust.motion import Motion, motion_between, smoothness
+from mocap_calib.adjust.parameters import free_clocks
+from mocap_calib.adjust.problem import Problem, problem_of_frames
+from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
+from mocap_calib.adjust.solve import minimise, optimise_points
+from mocap_calib.clocks.resample import resample
 from mocap_calib.config import Config
-from mocap_calib.recording.sampling import take_sample
+from mocap_calib.recording.sampling import evenly_spaced, take_sample, usual_step
 from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.results import Adjusted, Matches, TimeOffsets
+from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.observed import Observed
+from mocap_calib.rig.tracks import Tracks, labelled_frames
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
+
+_FIRST_POINTS, _POINTS = 4000, 12_000  # that a first look and an estimate take
+_STRETCH = 10  # frames that follow each other, of which the points come
+_COUNTED_FRAMES = 200  # that show how many points a frame has
+_LEAST_POINTS = 100  # that move and that a view sees, for its clock to be determined
+# 1 = points move without jerks, 0 = as frames of different times would have them. Recordings of
+# moving subjects have 0.6 to 0.96, samples of single frames 0.15 to 0.26
+_LEAST_SMOOTHNESS = 0.5
+_PRIOR = 2.0  # frames, standard deviation of an offset
+_LEAST_OFFSET, _MOST_OFFSET = 0.1, 1.2  # frames; motion is known from a frame before to one after
+# standard deviations of an offset that is applied; synchronous recordings reach 3.6, recordings
+# of which cameras take every second frame 6 to 60
+_SIGNIFICANT = 5.0
 
 
-def settle_clocks(
+@dataclass(frozen=True)
+class _Tracks:
+    """Points of frames that follow each other, and what was seen of some of them.
+
+    frames: `[frame]` indices into the recording. points: all M of these frames.
+    own: `[N]` indices of the points that are known `step` frames before and after, too.
+    before, after: `[N]` indices of these neighbours. seen: of the points `own`.
+    leader: `[M]` index of the point of `own` that a point moves with when the rig changes; its own
+        index where there is none beside it.
+    """
+
+    frames: Ints
+    points: Problem
+    own: Ints
+    before: Ints
+    after: Ints
+    leader: Ints
+    step: int
+    seen: RayResiduals
+
+    def motion(self, positions: Floats) -> Motion:
+        """Return how the points `own` move, given where all are `[3, M]`."""
+        before, here, after = (positions[:, i] for i in (self.before, self.own, self.after))
+        return motion_between(here - before, after - here, self.step)
+
+    def move(self, positions: Floats, own: Floats) -> Floats:
+        """Return where all points `[3, M]` are after the points `own` have moved to `[3, N]`.
+
+        The others are not adjusted: each moves as its neighbour does.
+        """
+        moved = np.zeros_like(positions)
+        moved[:, self.own] = own - positions[:, self.own]
+        return positions + moved[:, self.leader]
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """Offsets of clocks, in frames, and the rig that goes with them.
+
+    tau, sigma: `[view]`, 0 where an offset is not free.
+    """
+
+    rig: CameraRig
+    tau: Floats
+    sigma: Floats
+
+
+def synchronise_detections(
     observed: Observed, adjusted: Adjusted, matches: Matches, config: Config
 ) -> tuple[Observed, Adjusted, TimeOffsets]:
-    """Return what was seen at the time of the first camera, the rig that fits it, and the offsets.
+    """Return the detections at the time of the first camera, the rig that fits, and the offsets.
 
-    matches: labels in all frames of the recording. Where the clocks agree, or nothing tells
-    whether they do, everything stays as it is.
+    matches: labels in all frames of the recording. All stays as it is where no offset is
+    significant.
     """
-    recording = observed.recording
-    offsets, rig = find_time_offsets(recording, adjusted.rig, matches, config)
+    offsets, rig = find_time_offsets(observed.recording, adjusted.rig, matches, config)
     if not offsets.used.any():
         return observed, adjusted, offsets
-    recording = bring_in_step(recording, rig, matches, offsets.applied, config.triangulate)
+    recording = resample(observed.recording, rig, matches, offsets.applied, config.triangulate)
     recording = hide_blind_spots(recording)  # some may now lie beyond what the lens model knows
     sample = take_sample(recording, observed.sample_frames)
-    in_step = replace(observed, recording=recording, sample=sample)
-    return in_step, replace(adjusted, rig=rig), offsets
+    observed = replace(observed, recording=recording, sample=sample)
+    return observed, replace(adjusted, rig=rig), offsets
+
+
+def find_time_offsets(
+    recording: Recording, rig: CameraRig, matches: Matches, config: Config
+) -> tuple[TimeOffsets, CameraRig]:
+    """Return by what part of a frame clocks differ, and the rig that is adjusted with that.
+
+    rig, matches: adjusted and labelled as if the clocks agreed. The rig stays as it is where no
+    offset is applied. The cost of a first look does not depend on the length of the recording.
+    """
+    tracks = _find_tracks(recording, rig, matches, config, budget=_FIRST_POINTS)
+    free = _determined_views(tracks)
+    if not config.sync.subframe or not free.any():
+        return TimeOffsets.unknown(len(rig.cameras)), rig
+    found = _estimate(tracks, rig, free, config, first_look=True)
+    likely = _are_significant(found, 0.6 * _SIGNIFICANT, 0.5 * _LEAST_OFFSET)
+    used = np.zeros(len(free), dtype=bool)
+    if likely.any():
+        tracks = _find_tracks(recording, rig, matches, config, budget=_POINTS)
+        # the clocks of the others agree with the first one
+        alone = _estimate(tracks, rig, likely, config)
+        used = _are_significant(alone, _SIGNIFICANT, _LEAST_OFFSET)
+        tau, sigma = (
+            np.where(likely, *each) for each in ((alone.tau, found.tau), (alone.sigma, found.sigma))
+        )
+        found = replace(alone if used.any() else found, tau=tau, sigma=sigma)
+    known = free | (np.arange(len(free)) == 0)
+    tau, sigma = (np.where(known, each, np.nan) for each in (found.tau, found.sigma))
+    return TimeOffsets(tau, sigma, used), found.rig if used.any() else rig
+
+
+def _are_significant(found: _Estimate, significance: float, least: float) -> Bools:
+    """Return `[view]` which offsets are so many standard deviations, and so many frames.
+
+    None is where one is too large for the motion that is known of points.
+    """
+    size = np.abs(found.tau)
+    in_reach = size.max() <= _MOST_OFFSET
+    return (size > significance * found.sigma) & (size > least) & in_reach
+
+
+# Which points
+
+
+def _find_tracks(
+    recording: Recording, rig: CameraRig, matches: Matches, config: Config, *, budget: int
+) -> _Tracks:
+    """Return about `budget` points of stretches of the recording, with their neighbours."""
+    frames = _choose_stretches(matches, len(recording.keypoints), budget, _STRETCH)
+    points = problem_of_frames(recording, rig, matches, frames, config)
+    step = usual_step(recording.frames)
+    before, after = _find_neighbours(points.tracks, recording.frames, step)
+    between = (before >= 0) & (after >= 0)
+    own = np.flatnonzero(between)
+    leader = np.arange(len(between))
+    for neighbour in (before, after):
+        leader = np.where(~between & (neighbour >= 0) & between[neighbour], neighbour, leader)
+    return _Tracks(
+        frames=frames,
+        points=points,
+        own=own,
+        before=before[own],
+        after=after[own],
+        leader=leader,
+        step=step,
+        seen=points.select(own).rays,
+    )
+
+
+def _find_neighbours(tracks: Tracks, frames: Ints, step: int) -> tuple[Ints, Ints]:
+    """Return the indices `[M]` of the points a step before and after; -1 = none.
+
+    frames: `[frame]` numbers of the frames of the recording.
+    """
+    present, rank = np.unique(tracks.frame, return_inverse=True)
+    shape = (len(present) + 1, tracks.individual.max(initial=0) + 1)
+    index = np.full((*shape, tracks.keypoint.max(initial=0) + 1), -1)
+    index[rank, tracks.individual, tracks.keypoint] = np.arange(len(rank))
+    follows = np.append(np.diff(frames[present]) == step, False)[: len(present)]
+    next_one = index[rank + 1, tracks.individual, tracks.keypoint]
+    after = np.where(follows[rank], next_one, -1)
+    before = np.full(len(rank), -1)
+    before[after[after >= 0]] = np.flatnonzero(after >= 0)
+    return before, after
+
+
+def _choose_stretches(matches: Matches, keypoints: int, budget: int, stretch: int) -> Ints:
+    """Return indices of frames in stretches that are evenly spread, of about `budget` points."""
+    labelled = labelled_frames(matches)
+    some = per_frame_labels(matches.select(frames=evenly_spaced(labelled, _COUNTED_FRAMES))).labels
+    individuals = np.arange(some.max(initial=0) + 1)
+    views = (some[..., None] == individuals).any(2).sum(0)  # [frame, individual]
+    points = max(1.0, (views >= 2).sum(1).mean()) * keypoints  # in a frame
+    starts = np.unique(labelled // stretch) * stretch
+    starts = evenly_spaced(starts, max(1, round(budget / (points * stretch))))
+    frames = (starts[:, None] + np.arange(stretch)).ravel()
+    return frames[frames < matches.labels.shape[1]]
+
+
+def _determined_views(tracks: _Tracks) -> Bools:
+    """Return the views `[view]` whose clocks can be told from the first one's.
+
+    Points must move, and smoothly, from frame to frame, and views see enough of them.
+    """
+    points = tracks.points.points
+    enough = (tracks.seen.weight > 0).sum(1) >= _LEAST_POINTS
+    neighbours = (points[:, index] for index in (tracks.before, tracks.own, tracks.after))
+    if not enough[0] or smoothness(*neighbours) < _LEAST_SMOOTHNESS:
+        return np.zeros(len(enough), dtype=bool)
+    return enough & (np.arange(len(enough)) > 0)
+
+
+# Offsets
+
+
+def _estimate(
+    tracks: _Tracks, rig: CameraRig, free: Bools, config: Config, *, first_look: bool = False
+) -> _Estimate:
+    """Adjust poses, points and the offsets of some clocks (free: `[view]`) in rounds.
+
+    Each round starts from the motion that the one before ended with. A first look is one round, to
+    no great precision.
+    """
+    last_scale = tracks.points.loss_scale
+    freedom = free_clocks(free, _PRIOR)
+    positions, adjusted, tau = tracks.points.points, rig, np.zeros(len(free))
+    for _ in range(1 if first_look else 7):
+        before = tau
+        seen = TimedRayResiduals(tracks.seen, tracks.motion(positions))
+        own = positions[:, tracks.own]
+        state = minimise(
+            State(adjusted.rotation, adjusted.translation, own, tau[:, None]),
+            seen,
+            freedom,
+            loss_scale=last_scale,
+            tolerance=config.adjust.rough_tolerance if first_look else 1e-4,
+        )
+        state = _at_size_of(rig, optimise_points(state, seen, loss_scale=last_scale))
+        adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
+        positions = tracks.move(positions, state.points)
+        tau = state.intrinsics[:, 0]
+        converged = np.abs(tau - before).max() < 0.01
+        if converged or np.abs(tau).max() > _MOST_OFFSET:
+            break
+    points = tracks.points.tracks.select(tracks.own)
+    covariance = find_covariance(
+        state,
+        seen,
+        freedom,
+        period=points.time_blocks(config.uncertainty.time_blocks),
+        joint=points.keypoint,
+        scale=last_scale,
+    )
+    sigma = np.sqrt(freedom.by_view[:, -1] @ np.diag(covariance.cautious))
+    return _Estimate(rig=adjusted, tau=tau, sigma=sigma)
+
+
+def _at_size_of(rig: CameraRig, state: State) -> State:
+    """Return a state at the size of a rig, with the offsets that then go with the same motion.
+
+    A larger world at larger offsets looks alike as long as the motion stays as it is.
+    """
+    first = rig.centres[0]
+    centres = -np.einsum("vji,vj->vi", state.rotation, state.translation)
+    size = np.sqrt(((centres - first) ** 2).sum() / ((rig.centres - first) ** 2).sum())
+    centres = first + (centres - first) / size
+    return State(
+        rotation=state.rotation,
+        translation=-np.einsum("vij,vj->vi", state.rotation, centres),
+        points=first[:, None] + (state.points - first[:, None]) / size,
+        intrinsics=state.intrinsics / size,
+    )

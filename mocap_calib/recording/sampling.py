@@ -13,6 +13,8 @@ from mocap_calib.config import SampleConfig, SyncConfig
 from mocap_calib.geometry import lens
 from mocap_calib.types import Bools, Camera, Floats, Ints, Reals, Recording, Sample
 
+_STRETCH_FRAMES, _STRETCH_DETECTIONS = 400, 5000  # at most, in all stretches together
+
 
 def evenly_spaced(values: Ints, count: int) -> Ints:
     """Return at most `count` of the values `[N]`, evenly spaced, first and last among them."""
@@ -168,7 +170,7 @@ def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
 
     Within a stretch, frames follow each other by the usual distance of frame numbers. A short
     recording is one stretch; of a long one there are several, which begin with its first frame and
-    are spread over it, each several windows long, and no more in all than the configuration says.
+    are spread over it, each three windows long.
     """
     frames = recording.frames
     step = usual_step(frames)
@@ -177,8 +179,8 @@ def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
     on_grid = first + position * step == frames
     length = int(position.max()) + 1
     some = recording.select(frames=np.arange(0, len(frames), max(1, len(frames) // 200)))
-    budget = int(min(config.frames, _frames_with(some, config.detections)))
-    each = max(int(config.stretch_windows * config.window), 1)
+    budget = int(min(_STRETCH_FRAMES, _frames_with(some, _STRETCH_DETECTIONS)))
+    each = max(3 * config.window, 1)
     count = max(1, budget // each)
     if length <= max(budget, each):
         starts, each = np.zeros(1, dtype=np.int64), length

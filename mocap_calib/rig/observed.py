@@ -9,7 +9,7 @@ import numpy as np
 from mocap_calib.errors import UnderconstrainedCameraError
 from mocap_calib.results import LiftedPoses, PairwiseCalibration
 from mocap_calib.rig.graph import pairs_among
-from mocap_calib.types import Ints, Recording, Sample
+from mocap_calib.types import Floats, Ints, Recording, Sample
 
 T = TypeVar("T")
 
@@ -27,6 +27,11 @@ class Observed:
     sample: Sample
     lifted: LiftedPoses
     pairs: tuple[PairwiseCalibration, ...]
+
+    @property
+    def rotations(self) -> dict[tuple[int, int], Floats]:
+        """(a, b) -> `[3, 3]` b_from_a of each pair."""
+        return {(pair.a, pair.b): pair.rotation for pair in self.pairs}
 
     def select(self, views: Ints) -> "Observed":
         """Return what is known of these views (`[view]` indices) alone."""

@@ -5,6 +5,7 @@ compare the two rigs -> refit the cameras that moved, in the given coordinates.
 """
 
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +13,17 @@ import numpy as np
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.relocation import find_lost_camera
 from mocap_calib.adjust.rig_covariance import cautious_covariances, covariance_of, fit_again
-from mocap_calib.clocks.common_clock import synchronise
+from mocap_calib.clocks.estimate import estimate_clocks
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.lift.lift import RememberedLift
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import AUTO, choose_model
-from mocap_calib.recording.retiming import retime
+from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.results import Adjusted, LiftedPoses, Matches, Verification
+from mocap_calib.results import Adjusted, Clocks, LiftedPoses, Matches, Verification
 from mocap_calib.rig.associate import associate
 from mocap_calib.rig.labels import matched_share
 from mocap_calib.rig.placed import PlacedCameras
@@ -61,12 +62,17 @@ def verify(
     progress = progress or silent
     lift_sample = RememberedLift(lifter, progress)
     with single_threaded_libraries():
-        clocks = synchronise(recording, lift_sample, config, seed=seed)
+        said = clocks_of_rates(recording, dict(config.sync.rates))
+        recording = retime(recording, said)
+        rotations = {(a, b): rig.relative(a, b)[0] for a, b in combinations(range(len(rig)), 2)}
+        clocks = estimate_clocks(recording, lift_sample, rotations, config, seed=seed)
+        if config.sync.mode == "check":
+            clocks = Clocks.of_one(recording, clocks.cameras)
         recording = hide_blind_spots(retime(recording, clocks))
         sample = take_sample(recording, choose_sample_frames(recording, config.sample))
         lifted = lift_sample(sample)
         found = verify_rig(sample, lifted, rig, config, seed=seed, progress=progress)
-    return replace(found, clocks=clocks)
+    return replace(found, clocks=clocks.after(said))
 
 
 def verify_rig(

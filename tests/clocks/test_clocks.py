@@ -10,8 +10,8 @@ from scenes import PEOPLE, calibrate_group, rotation_errors_deg, scene
 from mocap_calib.adjust.motion import Motion, motion_between, smoothness
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
-from mocap_calib.clocks.in_step import bring_in_step, held_out_error
-from mocap_calib.clocks.time_offsets import find_time_offsets
+from mocap_calib.clocks.resample import resample
+from mocap_calib.clocks.subframe import find_time_offsets
 from mocap_calib.config import Config
 from mocap_calib.recording.sampling import take_sample, usual_step
 from mocap_calib.recording.synchronise import make_recording
@@ -80,7 +80,7 @@ def test_offsets_are_found_and_rig_and_poses_get_better(people):
     true = finer_scene(people).rig
     without, with_offsets = (rotation_errors_deg(each, true).max() for each in (start, rig))
     assert with_offsets < 0.7 * without
-    in_step = bring_in_step(recording, rig, matches, found.applied, Config().triangulate)
+    in_step = resample(recording, rig, matches, found.applied, Config().triangulate)
     error = error_of_poses(recording, start, matches, people)
     assert error_of_poses(in_step, rig, matches, people) < 0.85 * error  # measured 0.3, 0.75
 
@@ -164,29 +164,17 @@ def test_a_body_at_rest_tells_nothing():
 def test_nothing_is_looked_for_where_that_is_switched_off():
     recording, matches = off()
     config = Config()
-    config = replace(config, subframe=replace(config.subframe, enabled=False))
+    config = replace(config, sync=replace(config.sync, subframe=False))
     start = finer_scene().rig
     found, rig = find_time_offsets(recording, start, matches, config)
     assert rig is start
     assert np.isnan(found.tau).all()
 
 
-def test_held_out_detections_are_predicted_better_with_the_right_offsets():
-    recording, matches = off()
-    rig = finer_scene().rig
-    right, none, wrong = (
-        held_out_error(recording, rig, matches, np.array(tau), Config())
-        for tau in (OFFSETS, IN_STEP, [-tau for tau in OFFSETS])
-    )
-    assert right < none < wrong
-
-
 def test_detections_of_nobody_are_not_moved():
     recording, matches = off(people=2)
     some = Matches(np.where(matches.labels == 1, -1, matches.labels))
-    moved = bring_in_step(
-        recording, finer_scene().rig, some, np.array(OFFSETS), Config().triangulate
-    )
+    moved = resample(recording, finer_scene().rig, some, np.array(OFFSETS), Config().triangulate)
     change = np.abs(moved.positions - recording.positions)
     assert np.nanmax(change[some.labels < 0]) == 0
     assert np.nanmax(change[[0, 3]]) == 0  # their clocks are the first one's
@@ -253,7 +241,7 @@ def test_a_run_uses_the_offsets():
     """From detections alone; reprojection errors are those of what was brought in step."""
     recording, _ = off(people=2)
     config = Config()
-    without = replace(config, subframe=replace(config.subframe, enabled=False))
+    without = replace(config, sync=replace(config.sync, subframe=False))
     found, blind = (calibrate_group(recording, config=each) for each in (config, without))
     assert np.abs(found.time_offsets.tau - OFFSETS).max() < 0.05
     assert list(found.clock_offsets) == ["cam2", "cam3"]

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from mocap_calib.clocks.timing import diagonals
-
 
 def follow(table: np.ndarray, price: float, largest_step: int) -> np.ndarray:
     """Return the path `[frame]` of most agreement through a table `[frame, offset]` (Viterbi)."""
@@ -41,3 +39,11 @@ def sum_on_diagonals(values, rate: float, rows, blocks: int, window: int):
     table = table.reshape(*values.shape[:2], blocks, each, 2 * window + 1)
     seen = np.isfinite(table)
     return np.where(seen, table, np.float32(0.0)).sum(3), seen.sum(3)
+
+
+def diagonals(values, window: int, rate: float, rows):
+    """Return `[..., row, offset]` of frames t and round(rate t) + offset, NaN = none."""
+    column = np.round(rows * rate).astype(np.int64)[:, None] + np.arange(-window, window + 1)
+    inside = (column >= 0) & (column < values.shape[-1])
+    index = np.broadcast_to(np.where(inside, column, 0), (*values.shape[:-2], *column.shape))
+    return np.where(inside, np.take_along_axis(values, index, -1), np.float32(np.nan))

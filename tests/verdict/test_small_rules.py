@@ -9,11 +9,9 @@ from scipy.linalg import null_space
 
 from mocap_calib.adjust import refine
 from mocap_calib.adjust.covariance import _inverse_at_size
-from mocap_calib.clocks import search as clock_search
-from mocap_calib.clocks.evidence import along_map, standard_errors
-from mocap_calib.clocks.kinds import _is_unanimous
-from mocap_calib.clocks.time_offsets import _are_usable, _choose_stretches
-from mocap_calib.config import Config, MendConfig, MovedConfig, SubframeConfig, SyncConfig
+from mocap_calib.clocks.evidence import along_map
+from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
+from mocap_calib.config import Config, MendConfig, MovedConfig
 from mocap_calib.faults import suspicion
 from mocap_calib.faults.changes import _choose_number
 from mocap_calib.faults.mend import _has_moved, _refuting_gain
@@ -84,17 +82,6 @@ def test_the_share_of_the_matched_counts_whoever_is_named():
     np.testing.assert_allclose(share, [3 / 6, 5 / 5])
 
 
-def test_a_mean_is_told_in_standard_errors_over_blocks_of_time():
-    rng, config = np.random.default_rng(0), SyncConfig()
-    each = 14
-    values = 0.3 + rng.normal(size=(2, config.evidence_blocks * each // 2))
-    means = values.reshape(-1, each).mean(1)
-    expected = means.mean() / (means.std(ddof=1) / np.sqrt(len(means)))
-    assert standard_errors(values, config) == pytest.approx(expected)
-    shown = np.zeros(values.shape, bool)
-    assert standard_errors(values, config, shown) == 0.0
-
-
 def test_a_table_says_of_a_map_what_stands_at_its_offset():
     """Offsets from -2 to 2; frame 3 is lost, and frame 5 is out of reach."""
     table = np.arange(30.0).reshape(1, 6, 5)
@@ -120,17 +107,6 @@ def test_the_inverse_at_a_size_is_that_of_all_that_leaves_it():
     expected = free @ np.linalg.inv(free.T @ matrix @ free) @ free.T
     unit = np.outer(scale, scale)
     np.testing.assert_allclose(found * unit, expected * unit, atol=1e-6)
-
-
-def test_what_is_held_out_is_followed_at_the_price_of_its_partners(monkeypatch):
-    """Of seven other cameras, four in one half and three in the other."""
-    counts = []
-    monkeypatch.setattr(clock_search, "step_price", lambda n, _: counts.append(n) or 1.0)
-    halves = [np.random.default_rng(k).random((1, 60, 9)) for k in range(2)]
-    held_out = clock_search._hold_out(halves, range(7), 1.0, SyncConfig())
-    assert counts == [4, 3]
-    assert held_out.shape == (1, 60)
-    assert (held_out >= 0).all()
 
 
 def test_stretches_are_whole_and_spread_over_the_recording():
@@ -175,41 +151,16 @@ def test_a_clock_that_was_not_put_right_counts_where_it_is_certainly_off():
 def test_offsets_of_clocks_are_used_that_are_certain_large_and_all_in_reach():
     """The first camera's is 0; the third's is small, and the last one's not certain."""
     tau, sigma = np.array([0.0, 0.5, 0.08, -0.3]), np.array([0.0, 0.02, 0.001, 0.2])
-    config = SubframeConfig()
     found = SimpleNamespace(tau=tau, sigma=sigma)
-    assert _are_usable(found, 5.0, config).tolist() == [False, True, False, False]
-    assert _are_usable(found, 5.0, config, share=0.5).tolist() == [False, True, True, False]
+    assert _are_significant(found, 5.0, 0.1).tolist() == [False, True, False, False]
+    assert _are_significant(found, 5.0, 0.05).tolist() == [False, True, True, False]
     far = SimpleNamespace(tau=np.append(tau, -1.3), sigma=np.append(sigma, 0.02))
-    assert not _are_usable(far, 5.0, config).any()
+    assert not _are_significant(far, 5.0, 0.1).any()
 
 
 def test_the_score_of_a_camera_is_that_of_its_best_pair():
     pairs = [SimpleNamespace(a=a, b=b, score=s) for a, b, s in ((0, 1, 0.5), (2, 1, 0.8))]
     np.testing.assert_array_equal(best_scores(tuple(pairs), 4), [0.5, 0.8, 0.8, np.nan])
-
-
-FAR = {"partners": 3, "votes": 0.8, "gain": 0.2, "score": 0.5, "sigma": 2.0}
-GOOD = {"partners": 3, "votes": 1.0, "gain": 0.0, "score": 1.3, "sigma": 1.1}
-
-
-@pytest.mark.parametrize(
-    ("size", "evidence", "expected"),
-    [
-        (4, FAR, True),
-        (3, FAR, False),
-        (4, FAR | {"votes": 0.7}, False),
-        (4, FAR | {"gain": 0.05}, False),
-        (4, FAR | {"sigma": 1.1}, False),
-        (4, FAR | {"partners": 1}, False),
-        (2, GOOD, True),
-        (1, GOOD, False),
-        (2, GOOD | {"votes": 0.9}, False),
-        (2, GOOD | {"score": 1.1}, False),
-        (2, GOOD | {"sigma": 0.9}, False),
-    ],
-)
-def test_cameras_are_unanimous_of_what_is_far_or_where_all_agree_well(size, evidence, expected):
-    assert _is_unanimous(size, evidence, SyncConfig()) is expected
 
 
 class Rig(list):

@@ -4,21 +4,22 @@ import numpy as np
 import pytest
 from oracles import clocks as oracle
 
-from mocap_calib.clocks import timing
-from mocap_calib.clocks.timing import (
+from mocap_calib.clocks.compare import (
+    BLOCK_FRAMES,
+    POSE_TOLERANCE,
     ViewInTime,
     _align,
     _best_in_blocks,
     _candidates,
     _score_at_any_time,
-    agree_in_all_frames,
-    count_blocks,
+    agreement,
 )
-from mocap_calib.config import CLOCK_RATES, SyncConfig
+from mocap_calib.config import CLOCK_RATES
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
+from mocap_calib.kernels import clocks as kernels
 
-CONFIG = SyncConfig()
-FRAMES = 4 * CONFIG.block_frames
+WINDOW = 60
+FRAMES = 4 * BLOCK_FRAMES
 
 
 def unit_bodies(rng: np.random.Generator, frames: int) -> np.ndarray:
@@ -41,7 +42,7 @@ def test_bodies_are_aligned_at_their_offset_and_unlike_ones_do_not_count():
     seen_by_b[:, others] = unit_bodies(rng, int(others.sum()))
     start = matrix_from_vector(np.radians([6.0, -6.0, 5.0])) @ truth
     rows = np.arange(FRAMES)
-    found = _align(view_of(body), view_of(seen_by_b), start, rate=1.0, rows=rows, config=CONFIG)
+    found = _align(view_of(body), view_of(seen_by_b), start, rate=1.0, rows=rows, window=WINDOW)
     assert np.degrees(angle_between(found, truth)) < 0.5
 
 
@@ -53,17 +54,17 @@ def test_bodies_before_the_first_frame_of_the_other_view_are_not_compared():
     seen_by_b = np.roll(body @ truth.T, -2, axis=1)
     seen_by_b[:, -2:] @= matrix_from_vector(np.array([0.2, 0.0, 0.0]))
     views, rows = (view_of(body), view_of(seen_by_b)), np.arange(FRAMES)
-    found = _align(*views, truth, rate=1.0, rows=rows, config=CONFIG)
+    found = _align(*views, truth, rate=1.0, rows=rows, window=WINDOW)
     assert np.degrees(angle_between(found, truth)) < 0.001
 
 
 def test_blocks_of_time_that_show_nothing_count_where_they_are_the_most():
     """Half of the blocks are enough; of less the score is less."""
-    blocks = count_blocks(FRAMES, CONFIG)
+    blocks = FRAMES // BLOCK_FRAMES
     for used, expected in ((blocks, 0.8), (blocks // 2, 0.8), (blocks // 4, 0.4)):
         values = np.full((1, 1, FRAMES, FRAMES), np.nan, np.float32)
-        values[:, :, : used * CONFIG.block_frames] = 0.8
-        score, offsets = _best_in_blocks(values, 1.0, np.arange(FRAMES), CONFIG)
+        values[:, :, : used * BLOCK_FRAMES] = 0.8
+        score, offsets = _best_in_blocks(values, 1.0, np.arange(FRAMES), WINDOW)
         np.testing.assert_allclose(score, expected, rtol=1e-6)
         assert (offsets >= 0).sum() == used
 
@@ -75,7 +76,9 @@ def test_compiled_sums_on_diagonals_are_those_of_their_definition(rate):
     values = rng.random((2, 3, 10, 40)).astype(np.float32)
     values[rng.random(values.shape) < 1 / 3] = np.nan
     rows = np.sort(rng.permutation(40)[:10])
-    sums = timing._sum_on_diagonals(values, rate, rows, 3, 7)
+    shape = (2, 3, 3, 15)
+    sums = np.zeros(shape, np.float32), np.zeros(shape, np.int64)
+    kernels.sum_on_diagonals(values, np.round(rows * rate).astype(np.int64) - 7, 3, *sums)
     defined = oracle.sum_on_diagonals(values, rate, rows, 3, 7)
     for found, expected in zip(sums, defined, strict=True):
         assert found.shape == (2, 3, 3, 15)
@@ -94,13 +97,13 @@ def test_bodies_agree_with_the_most_alike_of_the_other_view(in_a, in_b):
     seen_a, seen_b = (rng.random(body.shape[:3]) < 0.7 for body in (a, b))
     cosine = np.einsum("fiax,gjax->figj", a[0], b[0])
     both = seen_a[0][:, :, None, None] & seen_b[0]
-    alike = np.where(both, np.exp((cosine - 1) / CONFIG.pose_tolerance**2), 0.0)
+    alike = np.where(both, np.exp((cosine - 1) / POSE_TOLERANCE**2), 0.0)
     total = alike.max(3).sum(1) + alike.max(1).sum(2)
     count_a, count_b = seen_a[0].sum(1)[:, None], seen_b[0].sum(1)
     expected = np.where((count_a > 0) & (count_b > 0), total / (count_a + count_b + 1e-9), np.nan)
     view_a = ViewInTime(a.astype(np.float32), seen_a)
     view_b = ViewInTime((b @ turn.T).astype(np.float32), seen_b)
-    found = agree_in_all_frames(view_a, view_b, turn)[0]
+    found = agreement(view_a, view_b, turn)[0]
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-6)
 
 
@@ -108,7 +111,7 @@ def test_candidates_turn_bodies_to_those_of_the_same_shape():
     rng = np.random.default_rng(1)
     truth = matrix_from_vector(np.array([0.4, -0.3, 0.8]))
     body = unit_bodies(rng, 20)
-    found = _candidates(view_of(body), view_of(body @ truth.T), CONFIG, rng)
+    found = _candidates(view_of(body), view_of(body @ truth.T), rng)
     nearest = found.reshape(20, -1, 3, 3)[:, 0]
     assert np.degrees(angle_between(nearest, truth)).max() < 0.1
 
@@ -118,7 +121,7 @@ def test_a_rotation_is_scored_at_each_rate():
     rng = np.random.default_rng(3)
     view, rows = view_of(unit_bodies(rng, FRAMES)), np.arange(FRAMES)
     turned = np.stack([np.eye(3), matrix_from_vector(np.array([0.0, 2.0, 0.0]))])
-    score = _score_at_any_time(view, view, turned, rows, CONFIG)
+    score = _score_at_any_time(view, view, turned, rows, WINDOW)
     assert score.shape == (2, len(CLOCK_RATES))
     assert score[0, CLOCK_RATES.index(1.0)] == pytest.approx(1.0, abs=1e-3)
     assert score[1].max() < 0.5

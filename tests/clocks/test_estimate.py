@@ -8,12 +8,12 @@ import pytest
 from oracles import clocks as oracle
 from scenes import lifted, recording
 
-from mocap_calib.clocks.evidence import weigh_clock
-from mocap_calib.clocks.frame_clocks import choose_pairs, doubt_lost_frames, find_clocks
-from mocap_calib.clocks.kinds import StretchNumbers, describe_clock
-from mocap_calib.clocks.paths import Agreements, Ridge, follow_ridge
-from mocap_calib.clocks.timing import ViewInTime, compare_in_time
-from mocap_calib.config import LARGEST_STEP, SyncConfig
+from mocap_calib.clocks.compare import ViewInTime, compared_pairs, search_rotation
+from mocap_calib.clocks.describe import StretchNumbers, combine_clocks, describe_clock
+from mocap_calib.clocks.estimate import find_clocks
+from mocap_calib.clocks.evidence import Agreements, Timing, evidence, weigh
+from mocap_calib.clocks.follow import LARGEST_STEP, follow_ridge
+from mocap_calib.config import SyncConfig
 from mocap_calib.faults.clock_faults import Retimed, clock_faults
 from mocap_calib.faults.words import option_of
 from mocap_calib.kernels import clocks as kernels
@@ -51,7 +51,7 @@ def shift(made, bodies, offsets):
 
 def clocks_of(made, bodies, config=CONFIG):
     frames = np.arange(len(made.frames))[None]
-    return find_clocks(made, bodies, frames, config, seed=0)
+    return find_clocks(made, bodies, frames, {}, config, seed=0)
 
 
 @pytest.mark.parametrize(
@@ -147,23 +147,6 @@ def test_half_the_rate_is_found():
     assert max(error.max() for error in errors_of(clocks, shown)) == 0
 
 
-@pytest.mark.parametrize(
-    ("votes", "kinds"),
-    [
-        ((0.0,), ["dropped"]),
-        ((0.0, 0.4), ["not known", "not known"]),
-        ((1.0, 0.2), ["dropped", "dropped"]),
-        ((1.0, 1.0), ["dropped", "dropped"]),
-    ],
-)
-def test_lost_frames_of_several_cameras_need_the_votes_of_the_others(votes, kinds):
-    seeming = tuple(
-        CameraClock(f"cam{k}", "dropped", 0, table=((0, 0), (9, 1)), evidence={"votes": share})
-        for k, share in enumerate(votes)
-    )
-    assert [clock.kind for clock in doubt_lost_frames(seeming, CONFIG)] == kinds
-
-
 def test_views_that_never_see_at_a_common_time_are_compared_without_a_complaint():
     """One sees the first 30 frames, the other the last ones: no offset of the window joins them."""
     _, bodies = scene_of(2, 1)
@@ -173,9 +156,8 @@ def test_views_that_never_see_at_a_common_time_are_compared_without_a_complaint(
         ViewInTime(np.where(seen[..., None, None], body, 0), seen)
         for seen in (first, first[:, ::-1])
     ]
-    found = compare_in_time(*views, SyncConfig(window=5), np.random.default_rng(0))
-    assert found is not None
-    assert np.allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-9)
+    found = search_rotation(*views, 5, np.random.default_rng(0))
+    assert np.allclose(found @ found.T, np.eye(3), atol=1e-9)
 
 
 def test_faults_name_the_camera_and_the_option_that_mends_it():
@@ -197,10 +179,10 @@ def test_a_ridge_is_followed_where_frames_were_lost():
     table = np.zeros((1, 90, 11))
     table[0, np.arange(90), path] = 1.0
     table += np.random.default_rng(0).normal(0, 0.1, table.shape)
-    found = follow_ridge(table, price=2.0)[0]
+    found = follow_ridge(table, partners=1)[0]
     assert np.abs(found - path).max() <= 2
     assert (found == path).mean() > 0.95
-    assert np.ptp(follow_ridge(table, price=1e3)) == 0  # steps that cost too much are not made
+    assert np.ptp(follow_ridge(table / 1000, partners=1)) == 0  # steps that gain too little
 
 
 def test_a_mend_of_one_camera_leaves_the_others():
@@ -215,7 +197,7 @@ def test_a_mend_of_one_camera_leaves_the_others():
 
 @pytest.mark.parametrize("views", [2, 3, 7, 8, 9, 40])
 def test_few_pairs_of_many_cameras_are_compared(views):
-    pairs = choose_pairs(views)
+    pairs = compared_pairs(views)
     partners = np.bincount(np.ravel(pairs), minlength=views)
     assert pairs == sorted(set(pairs))
     assert all(a < b for a, b in pairs)
@@ -223,7 +205,14 @@ def test_few_pairs_of_many_cameras_are_compared(views):
     assert partners.min() >= min(views - 1, 5)
 
 
-SURE = {"margin": 9.0, "sigma": 9.0, "score": 0.9, "gain": 0.3, "votes": 1.0, "partners": 3}
+SURE = {"margin": 9.0, "score": 0.9, "gain": 9.0, "partners": 3.0}
+NUMBERS = StretchNumbers(np.zeros(1, dtype=np.int64), 1)
+
+
+def timing_of(*maps, rate=1.0):
+    """The timing of maps `[frame]`, one for each camera."""
+    own = np.array(maps)[:, None]
+    return Timing(own, np.full(len(own), rate), np.zeros(own.shape))
 
 
 @pytest.mark.parametrize(
@@ -234,14 +223,8 @@ def test_steps_that_come_evenly_are_another_rate(lost, kind):
     """Frames that were lost: none, one before the first, one, and every fortieth."""
     time = np.arange(200)
     own = time + sum((time >= frame).astype(np.int64) for frame in lost)
-    clock = describe_clock(
-        "cam1",
-        np.atleast_2d(own + np.zeros(200, dtype=np.int64)),
-        1.0,
-        numbers=StretchNumbers(np.zeros(1, dtype=np.int64), 1),
-        evidence=SURE,
-        config=CONFIG,
-    )
+    timing = timing_of(own + np.zeros(200, dtype=np.int64))
+    clock = describe_clock("cam1", timing, 0, NUMBERS, SURE, window=60)
     assert clock.kind == kind
     begins = [(0, 0)] if lost and lost[0] else []
     steps = [(frame, number) for number, frame in enumerate(lost, 1)]
@@ -259,17 +242,22 @@ def test_compiled_paths_are_those_of_numpy(price):
             assert (found == expected).all()
 
 
-def test_a_camera_that_nobody_can_be_compared_with_has_no_evidence():
-    """Its share of agreeing cameras is 0, not the mean of nothing (which warns, and is NaN)."""
-    agreements = Agreements(
-        views=3, found={}, values={(0, 1): np.ones((1, 9, 9), np.float32)}, window=2
-    )
-    maps = np.tile(np.arange(9), (3, 1, 1))
-    ridge = Ridge(
-        maps[2], steps=0, agreement=np.zeros((1, 9)), total=0.0, cost=0.0, held_out=np.zeros((1, 9))
-    )
-    evidence = weigh_clock(agreements, [], 2, ridge, rate=1.0, maps=maps, config=CONFIG)
-    assert evidence["votes"] == evidence["score"] == evidence["gain"] == 0.0
+def test_a_camera_that_is_compared_with_none_has_no_evidence():
+    """Its agreement is 0, not the mean of nothing (which warns, and is NaN)."""
+    agreements = Agreements(views=3, values={(0, 1): np.ones((1, 9, 9), np.float32)}, window=2)
+    found = weigh(agreements, agreements, Timing.synchronous(agreements), 2)
+    assert not any(found.values())
+
+
+def test_evidence_is_of_blocks_of_time():
+    """Neighbouring frames err alike: as often repeated, the same blocks are the same evidence."""
+    blocks = np.random.default_rng(0).normal(0.3, 1.0, 25)
+    frames = np.repeat(blocks, 40)[None]
+    found = evidence(frames, np.ones(frames.shape, bool))
+    ratio = blocks.mean() ** 2 / blocks.var()
+    np.testing.assert_allclose(found, 25 / 2 * np.log1p(ratio), rtol=1e-6)
+    assert evidence(-frames, np.ones(frames.shape, bool)) == -found
+    assert evidence(frames[:, :19], np.ones((1, 19), bool)) == 0.0  # too few frames
 
 
 @lru_cache
@@ -299,36 +287,33 @@ def test_cameras_that_differ_alike_do_not_vouch_for_each_other():
     """Two cameras agree, and so do two others, but nothing compares the two pairs."""
     time = np.arange(40)
     agree = np.eye(40, dtype=np.float32)[None]
-    agreements = Agreements(views=4, found={}, values={(0, 1): agree, (2, 3): agree}, window=5)
+    agreements = Agreements(views=4, values={(0, 1): agree, (2, 3): agree}, window=5)
     late = np.where(time + 3 < 40, time + 3, -1)
-    maps = np.stack([time, time, late, late])[:, None]
-    nothing = np.zeros((1, 40))
-    ridge = Ridge(maps[2], 0, nothing, 0.0, 0.0, nothing)
-    evidence = weigh_clock(agreements, [], 2, ridge, rate=1.0, maps=maps, config=CONFIG)
-    assert evidence["partners"] == evidence["score"] == evidence["votes"] == 0
+    found = weigh(agreements, agreements, timing_of(time, time, late, late), 2)
+    assert found["partners"] == found["score"] == 0
 
 
 def test_a_clock_that_shows_no_frame_of_the_others_is_not_known():
-    clock = describe_clock(
-        "cam1",
-        np.full((1, 30), -1),
-        0.5,
-        numbers=StretchNumbers(np.zeros(1, dtype=np.int64), 1),
-        evidence=SURE,
-        config=CONFIG,
-    )
-    assert clock.kind == "not known"
+    timing = timing_of(np.full(30, -1), rate=0.5)
+    assert describe_clock("cam1", timing, 0, NUMBERS, SURE, window=60).kind == "not known"
 
 
-def test_windows_of_agreement_are_those_of_numpy():
-    """Windows that reach beyond both ends, and rows that are not there."""
-    rng = np.random.default_rng(2)
-    values = rng.normal(size=(2, 9, 14)).astype(np.float32)
-    row, first = rng.integers(-1, 9, (2, 12)), 2 * np.arange(12) - 7
-    found, defined = np.ones((2, 2, 12, 9))
-    kernels.add_windows(values, row, first, found)
-    oracle.add_windows(values, row, first, defined)
-    np.testing.assert_array_equal(found, defined)
-    assert (row < 0).any()
-    assert (found[:, 6] != 1)[row[:, 6] >= 0].all()
-    assert (found[row < 0] == 1).all()
+def test_a_clock_beyond_the_window_is_not_known():
+    timing = timing_of(np.arange(30) + 7)
+    kinds = [describe_clock("c", timing, 0, NUMBERS, SURE, window=each).kind for each in (6, 7)]
+    assert kinds == ["not known", "clock"]
+
+
+def test_what_is_left_of_a_clock_is_added_to_what_was_found():
+    late = CameraClock("cam1", "clock", 5, table=((0, 5),))
+    more = CameraClock("cam1", "clock", 2, table=((0, 2),))
+    back = CameraClock("cam1", "clock", -5, table=((0, -5),))
+    lossy = CameraClock("cam1", "dropped", 0, table=((0, 0), (9, -1)))
+    known, unknown = CameraClock("cam1", "in step"), CameraClock("cam1")
+    assert combine_clocks(late, more).offset == 7
+    assert combine_clocks(late, back).kind == "in step"
+    assert combine_clocks(lossy, more).table == ((-2, 2), (7, 1))
+    assert combine_clocks(late, lossy).table == ((0, 5), (9, 4))
+    assert combine_clocks(late, known) == combine_clocks(late, unknown) == late
+    assert combine_clocks(unknown, more) == more
+    assert combine_clocks(known, unknown) == combine_clocks(unknown, known) == known

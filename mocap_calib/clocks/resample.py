@@ -1,76 +1,38 @@
-"""Bring what cameras saw at times of their own to the time of the first camera.
+"""Resample detections to the time of the first camera.
 
 A detection moves in the image as its triangulated point moves in the offset of the camera's clock:
 a prediction of motion in 3D. Images are not interpolated. The motion is taken to be straight:
-single points tell more noise than acceleration, and detections that were left out are predicted
-better so.
+single points show more noise than acceleration.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.config import Config, TriangulateConfig
+from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry import lens
-from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import usual_step
 from mocap_calib.results import Matches, Poses3D
-from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
-_PASSES = 2  # the second triangulates what the first has brought nearer together
 _BLOCK = 1000  # frames at a time
 
 
-def bring_in_step(
+def resample(
     recording: Recording, rig: CameraRig, matches: Matches, tau: Floats, config: TriangulateConfig
 ) -> Recording:
     """Return the recording with detections as the cameras would have seen them at one time.
 
     tau: `[view]` frames by which a camera's images are later than those of the same number of a
-    camera whose offset is 0. Detections of nobody, and of points that are not known or whose
+    camera whose offset is 0. Unassigned detections, and those of points that are not known or whose
     motion is not, stay as they are.
     """
-    in_step = recording
-    for _ in range(_PASSES):
-        poses = triangulate(in_step, rig, matches, config)
-        in_step = _move_detections(recording, rig, matches, poses, -tau)
-    return in_step
-
-
-def held_out_error(
-    recording: Recording,
-    rig: CameraRig,
-    matches: Matches,
-    tau: Floats,
-    config: Config,
-) -> float:
-    """Return how far detections are from the points that are triangulated without them.
-
-    The median in radians, over a share of the detections that is the same in every call. Points
-    and detections are compared at the time of the detections, by the offsets tau `[view]` in frames
-    of the clocks.
-    """
-    options = config.subframe
-    rng = np.random.default_rng(0)
-    held_out = rng.random(recording.confidence.shape) < options.held_out
-    rest = replace(
-        recording,
-        positions=np.where(held_out[..., None], np.nan, recording.positions),
-        confidence=np.where(held_out, 0, recording.confidence),
-    )
-    rest = bring_in_step(rest, rig, matches, tau, config.triangulate)
-    poses = triangulate(rest, rig, matches, config.triangulate)
-    tested = replace(
-        recording, positions=np.where(held_out[..., None], recording.positions, np.nan)
-    )
-    tested = _move_detections(tested, rig, matches, poses, -tau)
-    seen = gather_tracks(tested, matches, np.arange(len(recording.frames)))
-    gap = project_views(rig, poses.positions.reshape(-1, 3).T) - seen.pixels
-    focal = np.array([camera.focal for camera in rig.cameras])
-    error = np.sqrt((gap**2).sum(1)) / focal[:, None]
-    return float(np.nanmedian(error)) if np.isfinite(error).any() else np.inf
+    resampled = recording
+    for _ in range(2):  # the second triangulates what the first has brought nearer together
+        poses = triangulate(resampled, rig, matches, config)
+        resampled = _move_detections(recording, rig, matches, poses, -tau)
+    return resampled
 
 
 def _move_detections(
