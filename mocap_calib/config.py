@@ -704,9 +704,7 @@ class VerifyConfig:
         cameras are not determined, where none is named; where one camera is turned by 1 degree,
         10 and more in nine of them (medians 32 to 280), median 11 in one of few keypoints
         (Pose2Sim), and 1.5 to 4 where references differ by 2 to 6 degrees from ours.
-    least_turn_deg, least_shift: degrees, or sizes of the rig, by which a camera must have moved.
-    least_focal_change: of the logarithm of a focal length that is another, and focal_significance:
-        its squared distance from 0 in standard deviations.
+    least_turn_deg: by which a camera must have turned, or shifted as seen from a rig's size away.
     pair_disagreement: variance, in that of their errors, up to which cameras go together: two
         cameras, with no third one to compare with, and all that are in place, whose differences
         are else said. Measured: 0.1 to 5 in eleven recordings, 9 to 30 in three whose references
@@ -717,9 +715,6 @@ class VerifyConfig:
     least_error_deg: float = 0.02
     significance: float = 3e-3
     least_turn_deg: float = 0.3
-    least_shift: float = 0.005
-    least_focal_change: float = 0.03
-    focal_significance: float = 40.0
     pair_disagreement: float = 10.0
 
 

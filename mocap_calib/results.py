@@ -820,14 +820,14 @@ class VerifiedCamera(Record):
 
     name: str
     word: PlaceWord
-    turn: float
-    turn_sigma: float
-    shift: float
-    shift_sigma: float
-    relative_shift: float
-    focal_change: float
-    error_px: float
-    refitted_px: float
+    turn: float = np.nan
+    turn_sigma: float = np.nan
+    shift: float = np.nan
+    shift_sigma: float = np.nan
+    relative_shift: float = np.nan
+    focal_change: float = 0.0
+    error_px: float = np.nan
+    refitted_px: float = np.nan
 
     @property
     def named(self) -> bool:

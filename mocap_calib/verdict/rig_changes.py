@@ -1,15 +1,15 @@
-"""Which cameras were moved since a calibration, by a rig that was adjusted to keypoints.
+"""Which cameras moved since a calibration, by a rig that was adjusted to keypoints, in words.
 
 The calibration and the adjusted rig differ by a similarity, which means nothing, by what the
 keypoints leave open, which the covariance of the adjustment has, by what models of lenses and
 detectors do not know, which all cameras share, and where a camera was moved. Cameras are set free
 one after the other until the rest agree: a camera was moved where the rest agree so much better
-without it that chance does not explain it (Fisher's ratio of variances: what it explains, over what
-the rest still disagree by).
+without it that chance does not explain it (Fisher's ratio of variances).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
@@ -17,29 +17,31 @@ from scipy.special import chdtrc, fdtrc
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.alignment import gauge_of, rig_size
 from mocap_calib.geometry.rotation import angle_between, vector_from_matrix
-from mocap_calib.records import Record
-from mocap_calib.results import RigCovariance
+from mocap_calib.results import Cause, RigCovariance, Verdict, Verification, VerifiedCamera
 from mocap_calib.types import Bools, CameraRig, Floats, Ints
 from mocap_calib.verdict.evaluation import lay_over
+from mocap_calib.verdict.verdict import OPEN_DEG, expected_error
 
-_POSE = 6  # numbers that say where a camera stands
+_POSE = 6  # numbers of the pose of a camera
 _GAUGE = 7  # of them, in a whole rig, that a similarity takes away
+_CALIBRATE = "calibrate anew: `mocap-calib run`"
+_RECORD = "record longer, with subjects that move through the room"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class RigChange(Record):
+@dataclass(frozen=True)
+class RigChange:
     """How a rig that was adjusted anew differs from the calibration that was given.
 
-    moved: `[view]` cameras that stand elsewhere than the others say.
-    turn: `[view]` radians and shift: `[view]` rig sizes by which a camera stands elsewhere, if it
+    moved: `[view]` cameras that are elsewhere than the others have them.
+    turn: `[view]` radians and shift: `[view]` rig sizes by which a camera is elsewhere, if it
         and the moved ones alone may; turn_sigma and shift_sigma: their RMS errors. Shifts are NaN
         where a single camera would be left.
     difference: `[view]` radians between the rotations of both rigs, those of the cameras that
-        stand where they did being aligned. It has all that the keypoints leave open.
+        stayed being aligned. It has all that the keypoints leave open.
     disagreement: variance that the cameras in place differ by, in those of their errors.
     refitted: the rig that was adjusted, in the coordinates and the unit of the given one.
 
-    Of two cameras nobody can say which one moved: `moved` has both or none, and either has the
+    Of two cameras it is not known which one moved: `moved` has both or none, and either has the
     turn of one against the other.
     """
 
@@ -59,50 +61,39 @@ def find_changes(
     covariances: tuple[RigCovariance, RigCovariance],
     config: Config,
 ) -> RigChange:
-    """Return which cameras were moved between two rigs of the same cameras, and by how much.
+    """Return which cameras moved between two rigs of the same cameras, and by how much.
 
     covariances: of the adjusted rig, as of `cautious_covariances`.
     """
     rigs = _Rigs.of(given, adjusted, covariances, config)
-    if len(given) == 2:
-        return _compare_two(rigs, covariances[0], config)
+    views = np.arange(len(given))
     moved = _find_moved(rigs, config)
     refitted = lay_over(adjusted, given, rigs.others(moved))
-    left = np.delete(np.asarray(angle_between(given.rotation, refitted.rotation)), moved)
-    if np.rad2deg(left.max()) > VERDICT_LIMITS_DEG[2]:  # another rig: no camera of it is to blame
-        moved, refitted = [], lay_over(adjusted, given, rigs.others([]))
-    poses = np.array([rigs.change_of(view, {*moved, view}) for view in range(len(given))]).T
-    turn, shift, turn_sigma, shift_sigma = poses
+    difference = np.asarray(angle_between(given.rotation, refitted.rotation))
+    if np.rad2deg(difference[rigs.others(moved)].max()) > VERDICT_LIMITS_DEG[2]:
+        moved, refitted = [], lay_over(adjusted, given, views)  # another rig: no camera of it moved
+        difference = np.asarray(angle_between(given.rotation, refitted.rotation))
     cost, freedom = rigs.disagreement(moved)
+    is_moved = np.isin(views, moved)
+    poses = np.array([rigs.change_of(view, {*moved, view}) for view in views.tolist()])
+    turn, shift, turn_sigma, shift_sigma = poses.T
+    if len(given) == 2:
+        pair = float(angle_between(given.relative(0, 1)[0], adjusted.relative(0, 1)[0]))
+        certain = chdtrc(freedom, cost / config.verify.pair_disagreement)
+        large = np.rad2deg(pair) > VERDICT_LIMITS_DEG[0]
+        is_moved[:] = certain < config.verify.significance and large
+        turn[:], turn_sigma[:] = pair, covariances[0].pair_rotation_sigma[0, 1]
+        shift[:], shift_sigma[:] = np.nan, np.nan
+        difference[:] = pair
     return RigChange(
-        moved=np.isin(np.arange(len(given)), moved),
+        moved=is_moved,
         turn=turn,
         shift=shift,
         turn_sigma=turn_sigma,
         shift_sigma=shift_sigma,
-        difference=np.asarray(angle_between(given.rotation, refitted.rotation)),
+        difference=difference,
         disagreement=cost / freedom,
         refitted=refitted,
-    )
-
-
-def _compare_two(rigs: "_Rigs", covariance: RigCovariance, config: Config) -> RigChange:
-    """Return whether the relative pose of two cameras is another than was given."""
-    given, adjusted = rigs.given, rigs.adjusted
-    turn = float(angle_between(given.relative(0, 1)[0], adjusted.relative(0, 1)[0]))
-    cost, freedom = rigs.disagreement([])
-    chance = chdtrc(freedom, cost / config.verify.pair_disagreement)
-    moved = chance < config.verify.significance and np.rad2deg(turn) > VERDICT_LIMITS_DEG[0]
-    unknown, both = np.full(2, np.nan), np.arange(2)
-    return RigChange(
-        moved=np.full(2, moved),
-        turn=np.full(2, turn),
-        shift=unknown,
-        turn_sigma=np.full(2, covariance.pair_rotation_sigma[0, 1]),
-        shift_sigma=unknown,
-        difference=np.full(2, turn),
-        disagreement=cost / freedom,
-        refitted=lay_over(adjusted, given, both),
     )
 
 
@@ -189,19 +180,23 @@ class _Rigs:
 
 
 def _find_moved(rigs: _Rigs, config: Config) -> list[int]:
-    """Return the views that were certainly moved, and by enough to matter.
+    """Return the views that certainly moved, and by enough to matter; of two cameras none.
 
     Those that explain most of the difference are set free, one after the other, until half of the
-    cameras, and two, are left: a rig most of which has moved is another rig. Then the least certain
-    one is put back until all are certain.
+    cameras, and two, are left: if more moved it is another rig. Then the least certain one is put
+    back until all are certain.
     """
     views, free = len(rigs.given), list[int]()
+    least = np.deg2rad(config.verify.least_turn_deg)
     while len(free) < min((views - 1) // 2, views - 2):
         rest = rigs.others(free).tolist()
         costs = [rigs.disagreement([*free, view])[0] for view in rest]
         free.append(rest[int(np.argmin(costs))])
     while free:
-        order = [(_is_small(rigs, each, free, config), _chance(rigs, each, free)) for each in free]
+        order = [
+            (max(rigs.change_of(each, set(free))[:2]) < least, _chance(rigs, each, free))
+            for each in free
+        ]
         worst = max(range(len(free)), key=order.__getitem__)
         small, chance = order[worst]
         if not small and chance * views < config.verify.significance:
@@ -217,7 +212,119 @@ def _chance(rigs: _Rigs, view: int, free: list[int]) -> float:
     return float(fdtrc(_POSE, freedom, max(explained, 0.0) / _POSE / max(1.0, cost / freedom)))
 
 
-def _is_small(rigs: _Rigs, view: int, free: list[int], config: Config) -> bool:
-    """Return whether a camera moved by less than is reported."""
-    turn, shift, _, _ = rigs.change_of(view, set(free))
-    return np.rad2deg(turn) < config.verify.least_turn_deg and shift < config.verify.least_shift
+# --- verdict and words
+
+
+def assess_calibration(
+    cameras: Sequence[VerifiedCamera],
+    change: RigChange,
+    covariance: RigCovariance,
+    names: tuple[str, ...],
+    config: Config,
+) -> Verdict:
+    """Return the verdict on a calibration with the moved cameras where they are now.
+
+    Each camera is as uncertain as the keypoints leave it, and as far off as they have it elsewhere.
+    names: of the views of the change and of the covariance.
+    """
+    uncertain = np.rad2deg(covariance.rotation_sigma)
+    refitted = change.moved & (len(names) > 2)  # of two it is not known where they are now
+    apart = np.where(refitted, 0.0, np.rad2deg(change.difference))
+    # keypoints that determine nothing give no better calibration
+    remedy = _CALIBRATE if uncertain.max() <= VERDICT_LIMITS_DEG[1] else _RECORD
+    causes = []
+    for view, name in enumerate(names):
+        meaning = f"{name}: the keypoints determine its rotation to +-{uncertain[view]:.1f} deg"
+        causes.append(Cause("covariance", name, float(uncertain[view]), meaning, _RECORD))
+        meaning = f"{name}: {apart[view]:.1f} deg from where the keypoints have it"
+        causes.append(Cause("difference", name, float(apart[view]), meaning, remedy))
+    unexplained = change.disagreement > config.verify.pair_disagreement
+    if unexplained and apart.max() > VERDICT_LIMITS_DEG[0]:
+        meaning = "the cameras contradict the calibration, and no single one explains it"
+        causes.append(Cause("contradiction", "", OPEN_DEG, meaning, remedy))
+    for camera in cameras:
+        if camera.word == "inconsistent":
+            meaning = f"{camera.name}: nothing that it sees agrees with the others, at any pose"
+            causes.append(Cause(camera.word, "", OPEN_DEG, meaning, "check its files and clock"))
+    causes.sort(key=lambda cause: -cause.error_deg)
+    return Verdict(expected_error(names, causes), tuple(causes))
+
+
+def explain_cameras(cameras: Sequence[VerifiedCamera]) -> list[str]:
+    """Return a line for each camera that moved or was not checked, and what to do about it."""
+    if len(cameras) == 2 and all(camera.word == "moved" for camera in cameras):
+        first, second = cameras
+        return [
+            f"{first.name} or {second.name} moved, by {_deg(first)} deg against the other; with "
+            f"two cameras nobody can say which: {_CALIBRATE}"
+        ]
+    lines = []
+    for camera in cameras:
+        if camera.word == "moved":
+            lines.append(f"{camera.name} {describe_move(camera)}: put it back, or {_CALIBRATE}")
+        if camera.word == "focal":
+            change = float(np.expm1(camera.focal_change))
+            lines.append(
+                f"{camera.name}: its focal length is {abs(change):.1%} "
+                f"{'longer' if change > 0 else 'shorter'} than given (zoom, or images of another "
+                f"size): correct its intrinsics, or {_CALIBRATE}"
+            )
+        if camera.word == "not checked":
+            lines.append(f"{camera.name}: sees too little with the others to be checked")
+    return lines
+
+
+def describe_move(camera: VerifiedCamera) -> str:
+    """Return by how much a camera moved, for a person: `is turned by 2.1 +- 0.2 deg`.
+
+    A turn or a shift of less than two standard deviations is none.
+    """
+    parts = []
+    if camera.turn > 2 * camera.turn_sigma:
+        parts.append(f"turned by {_deg(camera)} deg")
+    if camera.shift > 2 * camera.shift_sigma:
+        sigma = camera.relative_shift * camera.shift_sigma / camera.shift
+        parts.append(f"shifted by {camera.relative_shift:.1%} +- {sigma:.1%} of the rig's size")
+    return f"is {' and '.join(parts)}" if parts else "is elsewhere"
+
+
+def describe_refits(cameras: Sequence[VerifiedCamera]) -> list[str]:
+    """Return a line for each camera that is elsewhere in the corrected rig, for its file."""
+    return [
+        f"{camera.name}: refitted by keypoints; as given before it {describe_move(camera)}"
+        for camera in cameras
+        if camera.word in ("moved", "focal")
+    ]
+
+
+def verification_to_dict(found: Verification) -> dict[str, Any]:
+    """Return the figures under the keys of `mocap-calib verify --json`; angles in degrees."""
+    return {
+        "verdict": found.verdict,
+        "passes": found.passes,
+        "named": list(found.named),
+        "reasons": list(found.reasons),
+        "unit": found.rig.unit,
+        "cameras": [_camera_to_dict(camera) for camera in found.cameras],
+    }
+
+
+def _camera_to_dict(camera: VerifiedCamera) -> dict[str, Any]:
+    """Return the figures of one camera; None where one is not known."""
+    figures = {
+        "turn_deg": np.rad2deg(camera.turn),
+        "turn_sigma_deg": np.rad2deg(camera.turn_sigma),
+        "shift": camera.shift,
+        "shift_sigma": camera.shift_sigma,
+        "relative_shift": camera.relative_shift,
+        "focal_change": np.expm1(camera.focal_change),
+        "error_px": camera.error_px,
+        "refitted_px": camera.refitted_px,
+    }
+    known = {key: float(value) if np.isfinite(value) else None for key, value in figures.items()}
+    return {"name": camera.name, "place": camera.word} | known
+
+
+def _deg(camera: VerifiedCamera) -> str:
+    """Return the turn of a camera and its standard deviation in degrees."""
+    return f"{np.rad2deg(camera.turn):.2f} +- {np.rad2deg(camera.turn_sigma):.2f}"

@@ -22,7 +22,7 @@ from mocap_calib.wording import count
 
 # of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras
 # with estimated intrinsics are off by 2 to 5 deg in five of eight recordings, by 21 to 40 in three
-_OPEN_DEG = 5.0
+OPEN_DEG = 5.0
 _HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected
 _FRAMES = 300  # that are looked at for a remedy
 _FEW_FRAMES = 30
@@ -135,7 +135,7 @@ def _left_open(group: GroupResult) -> Iterator[Cause]:
         yield Cause(
             "depth",
             "",
-            _OPEN_DEG,
+            OPEN_DEG,
             "a rig reversed in depth fits as well",
             "move the cameras closer, or use shorter lenses",
         )
@@ -144,7 +144,7 @@ def _left_open(group: GroupResult) -> Iterator[Cause]:
         yield Cause(
             "intrinsics",
             "",
-            _OPEN_DEG,
+            OPEN_DEG,
             "the intrinsics of both cameras were estimated, and no third camera checks them",
             "give their intrinsics, or add a camera",
         )
@@ -156,7 +156,7 @@ def _uncorrected(group: GroupResult, faults: Sequence[Fault]) -> Iterator[Cause]
     for fault in faults:
         if fault.camera in cameras and fault.mend is None and fault.word in _HARMFUL:
             meaning = f"{fault.camera}: {fault.says}, which was not corrected"
-            yield Cause(fault.word, fault.camera, _OPEN_DEG, meaning, "correct its files")
+            yield Cause(fault.word, fault.camera, OPEN_DEG, meaning, "correct its files")
 
 
 def _other_clocks(clocks: Clocks | None) -> Iterator[Cause]:
@@ -166,7 +166,7 @@ def _other_clocks(clocks: Clocks | None) -> Iterator[Cause]:
     for clock in clocks.cameras:
         if clock.differs:
             meaning = f"{clock.camera}: it is on another clock, which was not corrected"
-            yield Cause("clock", clock.camera, _OPEN_DEG, meaning, "use --sync auto")
+            yield Cause("clock", clock.camera, OPEN_DEG, meaning, "use --sync auto")
 
 
 def _with_estimated_crops(

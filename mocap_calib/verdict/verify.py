@@ -1,37 +1,61 @@
-"""Judge a calibration that was given by the keypoints of moving subjects.
+"""Compare a given calibration with the keypoints of moving subjects.
 
-match by the given rig -> find the cameras that match nobody -> adjust from the given rig ->
+Match by the given rig -> search for the cameras that match nothing -> adjust from the given rig ->
 compare the two rigs -> refit the cameras that moved, in the given coordinates.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.adjust.camera_fit import CameraFit, CameraPose
 from mocap_calib.adjust.refine import adjust_until_stable
-from mocap_calib.adjust.relocation import find_lost_camera
+from mocap_calib.adjust.relocation import (
+    find_lost_camera,
+    place_points,
+    refit_camera,
+    typical_error,
+)
 from mocap_calib.adjust.rig_covariance import cautious_covariances, covariance_of, fit_again
 from mocap_calib.clocks.estimate import estimate_clocks
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import Config
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
+from mocap_calib.geometry.alignment import rig_size
+from mocap_calib.geometry.lens import change_intrinsics
+from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.io.provenance import judgement, round_sigma
 from mocap_calib.lift.lift import RememberedLift
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import AUTO, choose_model
 from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.results import Adjusted, Clocks, LiftedPoses, Matches, Verification
+from mocap_calib.results import (
+    Adjusted,
+    Clocks,
+    LiftedPoses,
+    Matches,
+    PlaceWord,
+    Verification,
+    VerifiedCamera,
+)
 from mocap_calib.rig.associate import associate
 from mocap_calib.rig.labels import matched_share
 from mocap_calib.rig.placed import PlacedCameras
 from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.training.device import on_device
-from mocap_calib.types import Bools, CameraRig, Ints, Progress, Recording, Sample, silent
-from mocap_calib.verdict.rig_changes import find_changes
-from mocap_calib.verdict.verified import SecondLook, describe_rig, has_detections
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Progress, Recording, Sample, silent
+from mocap_calib.verdict.rig_changes import (
+    RigChange,
+    assess_calibration,
+    describe_refits,
+    explain_cameras,
+    find_changes,
+)
 
 
 def verify(
@@ -44,16 +68,16 @@ def verify(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Verification:
-    """Judge a calibration by the keypoints of a recording, and say which cameras moved since.
+    """Compare a calibration with the keypoints of a recording, and name the cameras that moved.
 
     rig: the calibration, anyone's, in any unit and any coordinates, of the recording's cameras in
         their order. The other arguments are those of `calibrate`.
 
-    Identities need not be known. Clocks that differ are put in step first, as `config.sync` says.
-    Of two cameras nobody can say which one moved: both are named.
+    Identities need not be known. Clocks that differ are corrected first, as `config.sync` says.
+    Of two cameras it is not known which one moved: both are named.
 
     Raises MismatchError where rig and recording have other cameras, DegenerateError where not most
-    cameras of the rig, two at least, agree on anybody, and what `calibrate` raises of model and
+    cameras of the rig, two at least, agree on any subject, and what `calibrate` raises of model and
     device.
     """
     check_same_cameras(recording, rig)
@@ -84,35 +108,73 @@ def verify_rig(
     seed: int,
     progress: Progress,
 ) -> Verification:
-    """Return what a sample of a recording says of a rig. Raises as `verify` does."""
-    look = _look_again(sample, lifted, rig, config, progress=progress)
-    adjusted, matches = look.adjusted.rig, look.adjusted.matches
-    fitted = fit_again(look.sample, adjusted, matches, config)
-    covariances = cautious_covariances(fitted, config)
-    change = find_changes(rig.select(look.views), adjusted, covariances, config)
+    """Return how far a rig agrees with a sample of a recording. Raises as `verify` does."""
+    views, adjusted = _adjust_from(sample, lifted, rig, config, progress=progress)
+    part, given = sample.select(views=views), rig.select(views)
+    fitted = fit_again(part, adjusted.rig, adjusted.matches, config)
+    change = find_changes(given, adjusted.rig, cautious_covariances(fitted, config), config)
     covariance = covariance_of(fitted, config, seed=seed)
-    return describe_rig(sample, look, rig, change=change, covariance=covariance, config=config)
+    placed = PlacedCameras.of(part, adjusted.rig, adjusted.matches, config)
+    placed = replace(placed, rig=given)
+    mended = _refit(part, placed, change, config)
+    checked = {each.name: each for each in _compare(part, placed, mended, change, config)}
+    # cameras that contradict each other do not show that another one is inconsistent
+    known = sum(camera.word != "not checked" for camera in checked.values()) >= 2
+    cameras = tuple(
+        checked.get(name)
+        or VerifiedCamera(
+            name,
+            "inconsistent" if known and _has_detections(sample, view, config) else "not checked",
+        )
+        for view, name in enumerate(rig.names)
+    )
+    verdict = assess_calibration(cameras, change, covariance, given.names, config)
+    errors = [camera.refitted_px for camera in checked.values() if camera.refitted_px < np.inf]
+    said = judgement(
+        verdict.word,
+        [*describe_refits(cameras), *verdict.reasons],
+        float(np.mean(errors)) if errors else None,
+        rotation_sigma_deg=_by_name(given, np.rad2deg(covariance.rotation_sigma)),
+        centre_sigma_percent=_by_name(given, 100 * covariance.centre_sigma),
+    )
+    return Verification(
+        cameras=cameras,
+        verdict=verdict.word,
+        reasons=(*explain_cameras(cameras), *verdict.reasons),
+        rig=_put_back(rig, views, mended),
+        clocks=Clocks.of_one(sample),
+        provenance=said,
+    )
 
 
-def _look_again(
+def _by_name(rig: CameraRig, values: Floats) -> dict[str, float]:
+    """Return standard deviations `[view]` by the names of the cameras, as files have them."""
+    return {name: round_sigma(value) for name, value in zip(rig.names, values, strict=True)}
+
+
+# --- the rig as the keypoints have it
+
+
+def _adjust_from(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config, *, progress: Progress
-) -> SecondLook:
-    """Return the rig as the sample has it: adjusted from the given one.
+) -> tuple[Ints, Adjusted]:
+    """Return the rig adjusted to the sample from the given one, and its views (indices).
 
-    Cameras that match nobody any more are first looked for. Raises as `verify` does.
+    Cameras that match nothing are searched for first. Raises as `verify` does.
     """
     matches = associate(sample, lifted, rig, config, progress=progress)
     start, kept = _find_lost_cameras(sample, rig, matches, config)
     while _are_most(kept, sample, config):
-        part, bodies = sample.select(views=kept), lifted.select(kept)
+        part, bodies, known = sample.select(views=kept), lifted.select(kept), start.select(kept)
         try:
-            adjusted = _adjust(part, bodies, start.select(kept), config, progress)
+            matches = associate(part, bodies, known, config, progress=progress)
+            return kept, adjust_until_stable(
+                part, known, matches, config, lifted=bodies, progress=progress
+            )
         except UnderconstrainedCameraError as error:
             kept = kept[kept != rig.names.index(error.camera)]
         except DegenerateError:
             break
-        else:
-            return SecondLook(kept, part, adjusted)
     raise DegenerateError(
         "expected a calibration most of whose cameras agree on somebody, found another; "
         "check that the keypoints belong to it, or calibrate anew: `mocap-calib run`"
@@ -120,42 +182,147 @@ def _look_again(
 
 
 def _are_most(kept: Ints, sample: Sample, config: Config) -> bool:
-    """Return whether some views (indices) are two, and most of those that see somebody.
+    """Return whether some views (indices) are two, and most of those with detections.
 
     Otherwise it is another calibration, and no camera of it is to blame.
     """
     lost = np.setdiff1d(np.arange(len(sample.cameras)), kept).tolist()
-    contradicting = sum(has_detections(sample, view, config) for view in lost)
+    contradicting = sum(_has_detections(sample, view, config) for view in lost)
     return len(kept) >= 2 and len(kept) > contradicting
 
 
-def _adjust(
-    sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config, progress: Progress
-) -> Adjusted:
-    """Return the rig adjusted to what it matches."""
-    matches = associate(sample, lifted, rig, config, progress=progress)
-    return adjust_until_stable(sample, rig, matches, config, lifted=lifted, progress=progress)
+def _has_detections(sample: Sample, view: int, config: Config) -> bool:
+    """Return whether a view has enough detections, in frames of two others, to be placed."""
+    detected = sample.detected
+    others = np.delete(detected, view, axis=0).any(2).sum(0) >= 2
+    return bool(detected[view, others].sum() >= config.moved.least_detections)
 
 
 def _find_lost_cameras(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config
 ) -> tuple[CameraRig, Ints]:
-    """Return the rig with cameras that match nobody where they may stand, and the views found."""
-    lost = _lost_cameras(sample, matches, config)
+    """Return the rig with cameras that match nothing where they may be, and the views found.
+
+    Lost are those of whose detections far fewer match than is usual.
+    """
+    share = matched_share(sample, matches)
+    usual = [np.median(np.delete(share, view)) for view in range(len(share))]
+    lost = share < config.verify.least_matched * np.array(usual)
     if not lost.any() or (~lost).sum() < 2:
         return rig, np.arange(len(rig))
     labels = np.where(lost[:, None, None], -1, matches.labels)
-    placed = PlacedCameras.of(sample, rig, Matches(labels), config)
-    rotation, translation, found = rig.rotation.copy(), rig.translation.copy(), ~lost
+    placed, found = PlacedCameras.of(sample, rig, Matches(labels), config), ~lost
     for view in np.flatnonzero(lost).tolist():
         pose = find_lost_camera(sample, placed, view, config)
         if pose is not None:
-            rotation[view], translation[view], found[view] = pose.rotation, pose.translation, True
-    return replace(rig, rotation=rotation, translation=translation), np.flatnonzero(found)
+            rig, found[view] = _with_camera(rig, view, rig.cameras[view], pose), True
+    return rig, np.flatnonzero(found)
 
 
-def _lost_cameras(sample: Sample, matches: Matches, config: Config) -> Bools:
-    """Return the cameras `[view]` of whose detections far fewer match than is usual."""
-    share = matched_share(sample, matches)
-    usual = [np.median(np.delete(share, view)) for view in range(len(share))]
-    return share < config.verify.least_matched * np.array(usual)
+# --- where the cameras that moved are now
+
+
+def _refit(sample: Sample, placed: PlacedCameras, change: RigChange, config: Config) -> CameraRig:
+    """Return the given rig with the moved cameras where they are now, by the others as given.
+
+    With another focal length where that explains the move. Of two cameras it is not known where
+    they are.
+    """
+    rig, in_place = placed.rig, np.flatnonzero(~change.moved)
+    if not change.moved.any() or len(in_place) < 2:
+        return rig
+    known = place_points(sample, placed, in_place, config)
+    for view in np.flatnonzero(change.moved).tolist():
+        noise = float(placed.noise[view])
+        seen = known.seen_by(view, config.diagnosis.keypoints)
+        if len(seen.points) < config.adjust.least_keypoints:
+            continue
+        plain, free = refit_camera(seen, change.refitted, view, noise=noise, config=config)
+        focal = _is_focal(plain, free, placed.rig, view, config)
+        log_focal = float(free.unknowns[0]) if focal else 0.0
+        camera = change_intrinsics(rig.cameras[view], log_focal=log_focal, k1=0.0)
+        start = CameraPose(change.refitted.rotation[view], change.refitted.translation[view])
+        pose = (free if focal else plain).pose
+        turn = np.rad2deg(angle_between(pose.rotation, start.rotation))
+        # a telescope sees the same from the opposite side (Necker's cube): the rig of all does not
+        pose = pose if turn < VERDICT_LIMITS_DEG[2] else start
+        rig = _with_camera(rig, view, camera, pose)
+    return rig
+
+
+def _is_focal(
+    plain: CameraFit, free: CameraFit, given: CameraRig, view: int, config: Config
+) -> bool:
+    """Return whether another focal length explains what looks like a move."""
+    settings = config.uncertainty
+    certain = free.significance > settings.focal_significance**2
+    large = abs(free.unknowns[0]) > settings.least_focal_change
+    turns, shifts = zip(*(_move_of(fit.pose, given, view) for fit in (free, plain)), strict=True)
+    distance = np.hypot(turns, np.array(shifts) / rig_size(given))
+    return bool(certain and large and distance[0] < distance[1] / 2)
+
+
+def _move_of(pose: CameraPose, given: CameraRig, view: int) -> tuple[float, float]:
+    """Return the turn in radians and the shift in the unit of the rig."""
+    centre = -pose.rotation.T @ pose.translation
+    shift = float(np.linalg.norm(centre - given.centres[view]))
+    return float(angle_between(pose.rotation, given.rotation[view])), shift
+
+
+def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: CameraPose) -> CameraRig:
+    """Return the rig with one camera elsewhere."""
+    rotation, translation = rig.rotation.copy(), rig.translation.copy()
+    rotation[view], translation[view] = pose.rotation, pose.translation
+    cameras = (*rig.cameras[:view], camera, *rig.cameras[view + 1 :])
+    return replace(rig, cameras=cameras, rotation=rotation, translation=translation)
+
+
+def _put_back(rig: CameraRig, views: Ints, mended: CameraRig) -> CameraRig:
+    """Return the rig with some of its cameras (indices) as another rig has them."""
+    for place, view in enumerate(views.tolist()):
+        pose = CameraPose(mended.rotation[place], mended.translation[place])
+        rig = _with_camera(rig, view, mended.cameras[place], pose)
+    return rig
+
+
+# --- records
+
+
+def _compare(
+    sample: Sample,
+    placed: PlacedCameras,
+    mended: CameraRig,
+    change: RigChange,
+    config: Config,
+) -> Iterator[VerifiedCamera]:
+    """Yield how each camera of the adjusted rig differs from the given one."""
+    given = placed.rig
+    size, views = rig_size(given), np.arange(len(given))
+    focal = np.log(_focal_lengths(mended) / _focal_lengths(given))
+    for view, name in enumerate(given.names):
+        others = views[views != view] if len(views) > 2 else views
+        known = place_points(sample, replace(placed, rig=mended), others, config)
+        turn, shift = float(change.turn[view]), float(change.shift[view]) * size
+        if change.moved[view] and (~change.moved).sum() >= 2:
+            pose = CameraPose(mended.rotation[view], mended.translation[view])
+            turn, shift = _move_of(pose, given, view)
+        moved: PlaceWord = "focal" if focal[view] else "moved"
+        told = np.rad2deg(change.turn_sigma[view]) < VERDICT_LIMITS_DEG[2]
+        stays: PlaceWord = "in place" if told else "not checked"
+        yield VerifiedCamera(
+            name=name,
+            word=moved if change.moved[view] else stays,
+            turn=turn,
+            turn_sigma=float(change.turn_sigma[view]),
+            shift=shift,
+            shift_sigma=float(change.shift_sigma[view]) * size,
+            relative_shift=shift / size,
+            focal_change=float(focal[view]),
+            error_px=typical_error(known, given, view, config),
+            refitted_px=typical_error(known, mended, view, config),
+        )
+
+
+def _focal_lengths(rig: CameraRig) -> Floats:
+    """Return the focal lengths `[view]` in pixels."""
+    return np.array([camera.focal for camera in rig.cameras])

@@ -15,9 +15,8 @@ from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.sampling import take_sample, with_cameras
 from mocap_calib.results import Verification, VerifiedCamera
 from mocap_calib.types import CameraRig, silent
-from mocap_calib.verdict.verified import verification_to_dict
+from mocap_calib.verdict.rig_changes import describe_move, verification_to_dict
 from mocap_calib.verdict.verify import verify_rig
-from mocap_calib.verdict.verify_words import describe_move
 
 AXIS = np.array([0.48, 0.6, 0.64])
 
@@ -176,7 +175,7 @@ def test_a_move_is_told_as_far_as_it_is_sure():
     assert describe_move(camera) == f"is {shifted}"
     turned = replace(camera, turn=np.radians(7.0))
     assert describe_move(turned) == f"is turned by 7.00 +- 1.00 deg and {shifted}"
-    assert describe_move(replace(camera, shift_sigma=0.3)) == "stands elsewhere"
+    assert describe_move(replace(camera, shift_sigma=0.3)) == "is elsewhere"
 
 
 def test_other_cameras_are_refused():
