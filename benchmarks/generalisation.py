@@ -14,11 +14,10 @@ import torch
 from protocol_scenes import Kind
 
 from mocap_calib.recording.joints import load_section, load_skeleton
-from mocap_calib.training.checkpoint import load_steerer
 from mocap_calib.training.config import TrainConfig
-from mocap_calib.training.dataset import Batch, Synthesiser
-from mocap_calib.training.model import Model, complete, steer
+from mocap_calib.training.model import Model, load_steerer, steer
 from mocap_calib.training.poses import load_poses
+from mocap_calib.training.synthesis import Batch, Synthesiser
 from mocap_calib.training.train import train_lifter, training_config
 from mocap_calib.types import silent
 
@@ -70,6 +69,17 @@ def _displaced(
         pose, seen = complete(model, pose, seen), torch.ones_like(seen)
     found = steer(model, pose, seen, angle * torch.tensor([0.0, 1.0, 0.0]))
     return (found - turned(batch, angle)).norm(dim=-1).nanmean().item()
+
+
+@torch.no_grad()
+def complete(model: Model, pose: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
+    """Return poses `[B, J, 2]` with the joints that are not seen where the network expects them.
+
+    By no rotation: appendix D of the paper. pose: `[B, J, 2]` centred and scaled by
+    `model.normalise`; seen: `[B, J]` bool.
+    """
+    predicted = steer(model, pose, seen, torch.zeros(len(pose), 3))  # (B, J, 2)
+    return torch.where(seen[..., None], pose, predicted)
 
 
 def turned(batch: Batch, angle: torch.Tensor) -> torch.Tensor:

@@ -18,10 +18,9 @@ from protocol_scenes import KINDS
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton
-from mocap_calib.training.checkpoint import load_steerer
-from mocap_calib.training.dataset import Synthesiser
-from mocap_calib.training.model import steer
+from mocap_calib.training.model import load_steerer, steer
 from mocap_calib.training.poses import load_poses
+from mocap_calib.training.synthesis import Synthesiser
 from mocap_calib.types import Floats
 from mocap_calib.verdict.evaluation import with_axes
 

@@ -27,8 +27,7 @@ from mocap_calib.paper.five_point import (
 from mocap_calib.paper.losses import TwoViews
 from mocap_calib.paper.solver import PaperConfig, solve_pair, solve_pairs
 from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
-from mocap_calib.training.checkpoint import load_steerer
-from mocap_calib.training.model import LifterModule, Model, lifter_of
+from mocap_calib.training.model import LifterModule, Model, lifter_of, load_steerer
 from mocap_calib.types import Bools, Floats, Sample, Skeleton, silent
 
 TIMED = 1  # pairs that the paper's solver does alone, to know its seconds

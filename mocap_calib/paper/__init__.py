@@ -28,8 +28,7 @@ def choose_pair_solver(
         PaperConfig,
         PaperPairs,
     )
-    from mocap_calib.training.checkpoint import load_steerer  # noqa: PLC0415
-    from mocap_calib.training.model import module_of  # noqa: PLC0415
+    from mocap_calib.training.model import load_steerer, module_of  # noqa: PLC0415
 
     steers_by_token = recording.model != GEOMETRY_ALONE and is_token(recording.model)
     return PaperPairs(

@@ -2,8 +2,20 @@
 
 from dataclasses import dataclass
 
-PAPER_WIDTH = 32  # size of a token of the paper's network
-PAPER_LAYERS = 5  # of its encoder
+from mocap_calib.config import ENCODER_HEADS
+
+
+@dataclass(frozen=True)
+class TokenConfig:
+    """Size of the paper's network; saved inside the checkpoint.
+
+    The paper does not give the number of heads and the width of the feed-forward layers.
+    """
+
+    joints: int
+    width: int = 32  # of a token
+    layers: int = 5  # of the encoder
+    heads: int = ENCODER_HEADS
 
 
 @dataclass(frozen=True)
@@ -40,8 +52,6 @@ class TrainConfig:
 
 OUTLIER_NOISE = 0.5  # of the visible pose's RMS radius: noise of the joints put somewhere else
 HIDDEN_LIMBS = 0.2  # share of the poses one of whose limbs is hidden
-TRAINING_JOINTS = 4  # that a training pose has, and shows, at least
-WEIGHT_DECAY = 1e-4
 WARM_UP = 0.05  # share of the training steps in which the learning rate rises
 LARGEST_GRADIENT = 1.0
 UNCERTAINTY_WEIGHT = 0.1  # of the Laplace likelihood in the loss of a lifter
@@ -67,6 +77,3 @@ class PairsConfig:
     # share of poses that lack further joints, as detectors' layouts do; not in the paper
     layouts: float = 0.5
     seed: int = 0
-
-
-LAYOUT_DROPOUT = 0.6  # up to this share of joints is lacking where a pose lacks further joints

@@ -1,4 +1,4 @@
-"""The networks: the factorised SteerPose, the paper's with a rotation token, and steering by both.
+"""The networks in torch: the factorised SteerPose and the paper's with a rotation token.
 
 Projection is linear in the 3D pose, so the minimiser of the squared keypoint error of SteerPose
 (Lee et al., BMVC 2025, eq. 1) is q*(R) = P R E[X | p]: the posterior mean of the 3D pose X given
@@ -7,15 +7,22 @@ alone; it is covariant to R by construction, and another R costs no network pass
 network (section 3.1 and appendix C) is kept as a measured reference.
 """
 
+import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
 
 import torch
+from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
-from mocap_calib.config import ENCODER_HEADS
+from mocap_calib.io.atomic import write_bytes
 from mocap_calib.lift.lifter import LOG_DEVIATIONS, Lifter, ModelConfig
-from mocap_calib.training.config import PAPER_LAYERS, PAPER_WIDTH
+from mocap_calib.lift.weights import DESCRIPTION, read_description, weights_of
+from mocap_calib.recording.joints import parse_skeleton
+from mocap_calib.training.config import TokenConfig
+from mocap_calib.types import Skeleton
 
 
 class LifterModule(nn.Module):
@@ -99,19 +106,6 @@ def normalise(pose: Tensor, seen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return offset / scale[:, None, None], centre, scale
 
 
-@dataclass(frozen=True)
-class TokenConfig:
-    """Size of the network; saved inside the checkpoint.
-
-    The paper does not give the number of heads and the width of the feed-forward layers.
-    """
-
-    joints: int
-    width: int = PAPER_WIDTH
-    layers: int = PAPER_LAYERS
-    heads: int = ENCODER_HEADS
-
-
 class TokenSteerer(nn.Module):
     """Predict a 2D pose in a rotated view from the pose and the rotation: q(R) of section 3.1.
 
@@ -162,18 +156,6 @@ def steer(model: Model, pose: Tensor, seen: Tensor, vector: Tensor) -> Tensor:
     that are not seen are predicted. A vector of zeros completes the pose in its own view.
     """
     return prepare_steering(model, pose, seen)(vector)
-
-
-@torch.no_grad()
-def complete(model: Model, pose: Tensor, seen: Tensor) -> Tensor:
-    """Return poses `[B, J, 2]` with the joints that are not seen where the network expects them.
-
-    By no rotation: appendix D of the paper. pose: `[B, J, 2]` centred and scaled by
-    `model.normalise`; seen: `[B, J]` bool.
-    """
-    no_rotation = torch.zeros(len(pose), 3, dtype=pose.dtype, device=pose.device)
-    predicted = steer(model, pose, seen, no_rotation)  # (B, J, 2)
-    return torch.where(seen[..., None], pose, predicted)
 
 
 def prepare_steering(model: Model, pose: Tensor, seen: Tensor) -> Callable[[Tensor], Tensor]:
@@ -230,3 +212,46 @@ def shortest(vector: Tensor) -> Tensor:
     angle = vector.norm(dim=-1, keepdim=True).clamp_min(1e-9)
     turns = torch.round(angle / (2 * torch.pi)).detach()
     return vector * (1 - 2 * torch.pi * turns / angle)
+
+
+# --- files of weights
+
+
+def save_model(path: Path, model: Model, skeleton: Skeleton, card: dict[str, object]) -> None:
+    """Write weights, size of the network, vocabulary and model card into one file."""
+    names = skeleton.keypoints
+    description = {
+        "architecture": "factorised" if isinstance(model, LifterModule) else "token",
+        "model": asdict(model.config),
+        "skeleton": {  # as `parse_skeleton` reads it
+            "name": skeleton.name,
+            "keypoints": names,
+            "edges": [[names[parent], names[child]] for parent, child in skeleton.edges],
+            "aliases": skeleton.aliases,
+            "layouts": {str(k): layout for k, layout in enumerate(skeleton.layouts)},
+        },
+        "card": card,
+    }
+    tensors = {
+        name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()
+    }
+    metadata = {DESCRIPTION: json.dumps(description, sort_keys=True)}
+    write_bytes(path, save(tensors, metadata=metadata))
+
+
+def load_steerer(name_or_path: str | Path = "people") -> tuple[Model, Skeleton]:
+    """Return a network and its vocabulary: a shipped one by its skeleton's name, or from a file.
+
+    The weights of the paper's network have names like "people_token". Without torch,
+    `lift.weights` reads those that lift. Raises FormatError.
+    """
+    with resources.as_file(weights_of(str(name_or_path))) as path:
+        description = read_description(path)
+        tensors = load_file(path)
+    model: Model
+    if description.get("architecture") == "token":
+        model = TokenSteerer(TokenConfig(**description["model"]))
+    else:
+        model = LifterModule(ModelConfig(**description["model"]))
+    model.load_state_dict(tensors)
+    return model.eval(), parse_skeleton(description["skeleton"], str(path))

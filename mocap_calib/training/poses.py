@@ -1,4 +1,4 @@
-"""3D poses to train on: from files, from a skeleton's body, or from a calibrated recording.
+"""3D poses to train on, from files and from the `body` of a skeleton.
 
 A set may lack joints of the vocabulary: they are NaN, never seen, and no target.
 """
@@ -11,36 +11,23 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_calib.errors import DegenerateError, FormatError, MismatchError
-from mocap_calib.geometry.graphs import spanning_tree
+from mocap_calib.config import LEAST_JOINTS
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.recording.joints import match_names, parse_skeleton
-from mocap_calib.results import Poses3D
+from mocap_calib.recording.joints import match_names
 from mocap_calib.synthetic.body_plan import parse_body
 from mocap_calib.synthetic.procedural import sample_bodies
-from mocap_calib.training.config import (
-    OWN_SPECIES_LARGEST_ERROR,
-    OWN_SPECIES_LEAST_POSES,
-    TRAINING_JOINTS,
-)
-from mocap_calib.types import Bools, CameraRig, Floats, Skeleton
+from mocap_calib.types import Bools, Floats, Skeleton
 from mocap_calib.wording import one_line
 
 Split = Literal["train", "val", "test"]
+SPLITS: tuple[Split, ...] = get_args(Split)
 
-_UP = {  # column and sign
-    "+x": (0, 1.0),
-    "-x": (0, -1.0),
-    "+y": (1, 1.0),
-    "-y": (1, -1.0),
-    "+z": (2, 1.0),
-    "-z": (2, -1.0),
-}
 # what numpy and zipfile raise of a file that is cut, changed or none of theirs
 _DAMAGED = (
     *(OSError, EOFError, ValueError, KeyError, TypeError, NotImplementedError, MemoryError),
@@ -71,15 +58,18 @@ def load_poses(path: Path, skeleton: Skeleton, split: Split, *, up: str = "+z") 
 
     Raises FormatError, and MismatchError where fewer than four joints are those of the skeleton.
     """
+    direction = up_direction(up)
     fields = _read(path)
     found = _match_joints(fields["joints"], skeleton, path)
     poses = fields["poses"]
     keep = fields["split"] == split if "split" in fields else every_tenth(len(poses), split)
     subject = fields.get("subject", np.zeros(len(poses), dtype=np.int64))
     known = np.flatnonzero(found >= 0)
-    bodies = np.full((int(keep.sum()), len(skeleton.keypoints), 3), np.nan)
-    bodies[:, found[known]] = _turn_upright(poses[keep][:, known].astype(np.float64), up)
-    enough = np.isfinite(bodies).all(-1).sum(1) >= TRAINING_JOINTS
+    given = poses[keep][:, known].astype(np.float64)
+    given[~np.isfinite(given).all(-1)] = np.nan
+    bodies = np.full((len(given), len(skeleton.keypoints), 3), np.nan)
+    bodies[:, found[known]] = stand_upright(given, direction)
+    enough = np.isfinite(bodies[..., 0]).sum(1) >= LEAST_JOINTS
     return PoseSet(bodies[enough], _weight_by_subject(subject[keep][enough]))
 
 
@@ -89,7 +79,7 @@ def _match_joints(names: NDArray[Any], skeleton: Skeleton, path: Path) -> NDArra
     Raises MismatchError where fewer than four are joints of the skeleton.
     """
     found = match_names(tuple(str(name) for name in names), skeleton)
-    if (found >= 0).sum() < TRAINING_JOINTS:
+    if (found >= 0).sum() < LEAST_JOINTS:
         raise MismatchError(
             f"{path}: expected joints of skeleton {skeleton.name}, "
             f"found {', '.join(map(str, names))}"
@@ -137,18 +127,18 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     return fields
 
 
-def parse_up(up: str) -> tuple[int, float]:
-    """Return the column and the sign of an axis that points up: +x, -y, ... Raises FormatError."""
-    if up not in _UP:
-        raise FormatError(f"up axis: expected one of {', '.join(_UP)}, found {up}")
-    return _UP[up]
+def up_direction(up: str) -> Floats:
+    """Return the unit vector `[3]` of an axis: +x, -y, ... Raises FormatError."""
+    axes = {f"+{axis}": row for axis, row in zip("xyz", np.eye(3), strict=True)}
+    axes |= {f"-{axis}": -axes[f"+{axis}"] for axis in "xyz"}
+    if up not in axes:
+        raise FormatError(f"up axis: expected one of {', '.join(axes)}, found {up}")
+    return axes[up]
 
 
-def _turn_upright(poses: Floats, up: str) -> Floats:
-    """Turn the axis `up` of poses `[..., 3]` to +z. Raises FormatError."""
-    column, sign = parse_up(up)
-    turned = np.roll(poses, 2 - column, axis=-1)
-    return turned if sign > 0 else turned * [-1.0, 1.0, -1.0]
+def stand_upright(poses: Floats, up: Floats) -> Floats:
+    """Rotate poses `[..., 3]` so that the direction `up` `[3]` becomes +z."""
+    return poses @ looking_along(up, np.array([0.0, 0.0, 1.0])).T  # its third axis is up
 
 
 def every_tenth(n: int, split: Split) -> Bools:
@@ -181,101 +171,3 @@ def _unit_size(poses: Floats) -> Floats:
     centred = poses - np.nanmean(poses, axis=1, keepdims=True)
     radius = np.sqrt(np.nanmean((centred**2).sum(-1), axis=1))
     return centred / radius[:, None, None]
-
-
-def shares_by_size(sets: Sequence[PoseSet]) -> list[float]:
-    """Return shares that let each set count by the square root of its number of poses."""
-    return [float(np.sqrt(len(one.poses))) for one in sets]
-
-
-def up_of_rig(rig: CameraRig) -> Floats:
-    """Return the direction `[3]` that is up if the cameras stand upright.
-
-    It is opposite to the mean of their y axes, in the axes of the rig.
-    """
-    up = -rig.rotation[:, 1].mean(0)
-    return up / np.linalg.norm(up)
-
-
-def up_direction(up: str) -> Floats:
-    """Return the unit vector `[3]` of an axis: +x, -y, ... Raises FormatError."""
-    column, sign = parse_up(up)
-    return sign * np.eye(3)[column]
-
-
-def own_poses(poses: Poses3D, skeleton: Skeleton, up: Floats, split: Split) -> PoseSet:
-    """Return the well triangulated poses of all individuals, +z up, 7:2:1 by blocks of time.
-
-    up: `[3]` the direction that is up, in the axes of the poses.
-
-    Raises DegenerateError where they are too few to learn from.
-    """
-    bodies = _well_triangulated(poses)[every_tenth(len(poses.frames), split)]
-    bodies = bodies.reshape(-1, *bodies.shape[2:])  # [pose, keypoint, 3]
-    found = match_names(poses.keypoints, skeleton)
-    joints = np.full((len(bodies), len(skeleton.keypoints), 3), np.nan)
-    joints[:, found[found >= 0]] = bodies[:, found >= 0]
-    least_joints = max(TRAINING_JOINTS, int((found >= 0).sum()) // 2)
-    enough = np.isfinite(joints[..., 0]).sum(1) >= least_joints
-    count = int(enough.sum())
-    if count < OWN_SPECIES_LEAST_POSES:
-        raise DegenerateError(
-            f"expected at least {OWN_SPECIES_LEAST_POSES} whole 3D poses to {split} on, "
-            f"found {count}; record longer"
-        )
-    upright = looking_along(up[None], np.array([0.0, 0.0, 1.0]))[0]  # its third axis is up
-    return PoseSet(joints[enough] @ upright.T, np.full(count, 1.0 / count))
-
-
-def _well_triangulated(poses: Poses3D) -> Floats:
-    """Return the positions `[frame, individual, keypoint, 3]`, NaN where their error is large."""
-    largest = OWN_SPECIES_LARGEST_ERROR * _median(poses.error, axis=(0, 1, 2))
-    return np.where((poses.error <= largest)[..., None], poses.positions, np.nan)
-
-
-def own_skeleton(name: str, poses: Poses3D) -> Skeleton:
-    """Return a skeleton of the keypoints that have points, joined into a tree by what is rigid.
-
-    The bones are those that change their length least: a minimum spanning tree.
-
-    Raises DegenerateError where no pose has enough points.
-    """
-    known = np.isfinite(poses.positions[..., 0])
-    most = int(known.sum(-1).max(initial=0))
-    if most < TRAINING_JOINTS:
-        raise DegenerateError(
-            f"expected poses with at least {TRAINING_JOINTS} keypoints in 3D to learn from, "
-            f"found {most} at most; record longer"
-        )
-    seen = np.flatnonzero(known.any((0, 1)))
-    keypoints = [poses.keypoints[keypoint] for keypoint in seen]
-    spread, length = _lengths(poses.positions[:, :, seen])
-    spread = np.nan_to_num(spread, nan=np.nanmax(spread))
-    root = int(np.nanmean(length, axis=1).argmin())  # the most central keypoint
-    tree = spanning_tree(spread, root).tolist()
-    edges = [[keypoints[parent], keypoints[child]] for parent, child in tree]
-    return parse_skeleton({"name": name, "keypoints": keypoints, "edges": edges}, name)
-
-
-def _lengths(positions: Floats) -> tuple[Floats, Floats]:
-    """Return the spread and the typical value `[keypoint, keypoint]` of distances of keypoints.
-
-    positions: `[frame, individual, keypoint, 3]`. In sizes of the individual, by medians: some
-    points are wrong, and some individuals are children. NaN where two are never seen together.
-    """
-    count = positions.shape[2]
-    length = np.full((count, *positions.shape[:3]), np.nan)
-    for k in range(count):
-        length[k] = np.linalg.norm(positions - positions[:, :, k : k + 1], axis=-1)
-    size = _median(length, axis=(0, 1, 3))[0, 0]  # [individual, 1]
-    length = length / np.where(size > 0, size, np.nan)
-    typical = _median(length, axis=(1,))
-    spread = _median(np.abs(length - typical), axis=(1, 2))
-    return spread[:, 0, 0], _median(typical, axis=(1, 2))[:, 0, 0]
-
-
-def _median(values: Floats, axis: tuple[int, ...]) -> Floats:
-    """Return the medians of what is known along axes, which are kept; NaN where nothing is."""
-    unknown = np.isnan(values).all(axis, keepdims=True)
-    medians = np.nanmedian(np.where(unknown, 0.0, values), axis=axis, keepdims=True)
-    return np.where(unknown, np.nan, medians)

@@ -5,24 +5,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.errors import MismatchError
+import numpy as np
+
+from mocap_calib.config import LEAST_JOINTS
+from mocap_calib.errors import DegenerateError, MismatchError
+from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.read import read_poses
-from mocap_calib.recording.joints import load_section, load_skeleton
-from mocap_calib.training.config import OWN_SPECIES_TRAINING, TrainConfig
+from mocap_calib.recording.joints import load_section, load_skeleton, match_names, parse_skeleton
+from mocap_calib.results import Poses3D
+from mocap_calib.training.config import (
+    OWN_SPECIES_LARGEST_ERROR,
+    OWN_SPECIES_LEAST_POSES,
+    OWN_SPECIES_TRAINING,
+    TrainConfig,
+)
 from mocap_calib.training.poses import (
     PoseSet,
     Split,
+    every_tenth,
     load_poses,
     mix,
-    own_poses,
-    own_skeleton,
     procedural_poses,
-    shares_by_size,
+    stand_upright,
     up_direction,
-    up_of_rig,
 )
-from mocap_calib.types import Floats, Skeleton
+from mocap_calib.types import CameraRig, Floats, Skeleton
 
 
 @dataclass(frozen=True)
@@ -64,37 +72,22 @@ def check_source(source: TrainingSource) -> None:
 
     Raises FormatError where the skeleton's file cannot be read.
     """
-    if source.calibrated is not None:
-        _check_run(source, source.calibrated)
-    else:
-        _check_up(source)
-        _check_bodies(source)
-
-
-def _check_run(source: TrainingSource, calibrated: Path) -> None:
-    """Raise MismatchError where there is more than a run, or nothing says what is up."""
-    if source.poses or source.procedural:
-        raise MismatchError("expected POSES or --procedural, or --from, found both")
-    rig_file = _rig_file(calibrated)
-    if not source.up and not rig_file.is_file():
-        raise MismatchError(f"expected {rig_file} beside the poses, or --up, found neither")
-
-
-def _check_up(source: TrainingSource) -> None:
-    """Raise MismatchError where there is neither one axis that is up nor one for each file."""
     files = len(source.poses)
+    if source.calibrated is not None:
+        rig_file = _rig_file(source.calibrated)
+        if source.poses or source.procedural:
+            raise MismatchError("expected POSES or --procedural, or --from, found both")
+        if not source.up and not rig_file.is_file():
+            raise MismatchError(f"expected {rig_file} beside the poses, or --up, found neither")
+        return
     if len(source.up) not in (0, 1, files):
         raise MismatchError(
             f"--up: expected it once, or once for each of {files} files, "
             f"found it {len(source.up)} times"
         )
-
-
-def _check_bodies(source: TrainingSource) -> None:
-    """Raise MismatchError where there are no poses, or nothing to make bodies from."""
     has_body = bool(load_section(source.skeleton_name, "body"))
     wants_bodies = has_body if source.procedural is None else source.procedural > 0
-    if (wants_bodies and not has_body) or not (source.poses or wants_bodies):
+    if (wants_bodies and not has_body) or not (files or wants_bodies):
         raise MismatchError(
             "expected POSES, or a skeleton with a section `body` to make some from, "
             f"found neither in {source.skeleton_name}; see docs/skeletons.md"
@@ -126,13 +119,11 @@ def load_pose_sets(
         training = _poses_of_files(source, vocabulary, config, "train")
         return training, _poses_of_files(source, vocabulary, config, "test")
     poses = read_poses(source.calibrated, "poses-h5")
-    up = _up_of_run(source.calibrated, source.up)
+    if source.up:
+        up = up_direction(source.up[0])
+    else:
+        up = up_of_rig(read_rig(_rig_file(source.calibrated)))
     return own_poses(poses, vocabulary, up, "train"), own_poses(poses, vocabulary, up, "test")
-
-
-def _up_of_run(calibrated: Path, up: tuple[str, ...]) -> Floats:
-    """Return the direction `[3]` that is up: the axis that is given, else what its rig says."""
-    return up_direction(up[0]) if up else up_of_rig(read_rig(_rig_file(calibrated)))
 
 
 def _rig_file(calibrated: Path) -> Path:
@@ -143,32 +134,113 @@ def _rig_file(calibrated: Path) -> Path:
 def _poses_of_files(
     source: TrainingSource, vocabulary: Skeleton, config: TrainConfig, split: Split
 ) -> PoseSet:
-    """Return the poses of the files, and bodies made from the skeleton's file, mixed."""
+    """Return the poses of the files, and bodies made from the skeleton's file, mixed.
+
+    Each file counts by the square root of its number of poses.
+    """
     files = len(source.poses)
     up_axes = source.up if len(source.up) == files else (source.up or ("+z",)) * files
     sets = [
         load_poses(path, vocabulary, split, up=up)
         for path, up in zip(source.poses, up_axes, strict=True)
     ]
+    sizes = np.sqrt([len(one.poses) for one in sets])
+    shares = sizes / sizes.sum()
     body = load_section(source.skeleton_name, "body")
-    share = _procedural_share(source, config, has_body=bool(body))
-    if not share:
-        return sets[0] if len(sets) == 1 else mix(sets, shares_by_size(sets))
-    made = procedural_poses(vocabulary, body, config.bodies, seed=config.seed + (split == "test"))
-    if not sets:
-        return mix([made], [1.0])
-    sizes = shares_by_size(sets)
-    total = sum(sizes)
-    return mix([*sets, made], [*(size / total * (1 - share) for size in sizes), share])
+    made = source.procedural
+    if made is None:
+        made = 0.0 if not body else config.procedural if sets else 1.0
+    if made:
+        seed = config.seed + (split == "test")
+        sets.append(procedural_poses(vocabulary, body, config.bodies, seed=seed))
+        shares = np.append((1 - made) * shares, made)
+    return mix(sets, shares.tolist())
 
 
-def _procedural_share(source: TrainingSource, config: TrainConfig, *, has_body: bool) -> float:
-    """Return the share of bodies that are made.
+# --- poses of a calibrated recording
 
-    has_body: the skeleton's file says how its bodies are made.
+
+def up_of_rig(rig: CameraRig) -> Floats:
+    """Return the direction `[3]` that is up if the cameras stand upright.
+
+    It is opposite to the mean of their y axes, in the axes of the rig.
     """
-    if source.procedural is not None:
-        return source.procedural
-    if not has_body:
-        return 0.0
-    return config.procedural if source.poses else 1.0
+    up = -rig.rotation[:, 1].mean(0)
+    return up / np.linalg.norm(up)
+
+
+def own_poses(poses: Poses3D, skeleton: Skeleton, up: Floats, split: Split) -> PoseSet:
+    """Return the well triangulated poses of all individuals, +z up, 7:2:1 by blocks of time.
+
+    up: `[3]` the direction that is up, in the axes of the poses.
+
+    Raises DegenerateError where they are too few to learn from.
+    """
+    bodies = _well_triangulated(poses)[every_tenth(len(poses.frames), split)]
+    bodies = bodies.reshape(-1, *bodies.shape[2:])  # [pose, keypoint, 3]
+    found = match_names(poses.keypoints, skeleton)
+    joints = np.full((len(bodies), len(skeleton.keypoints), 3), np.nan)
+    joints[:, found[found >= 0]] = bodies[:, found >= 0]
+    least_joints = max(LEAST_JOINTS, int((found >= 0).sum()) // 2)
+    enough = np.isfinite(joints[..., 0]).sum(1) >= least_joints
+    count = int(enough.sum())
+    if count < OWN_SPECIES_LEAST_POSES:
+        raise DegenerateError(
+            f"expected at least {OWN_SPECIES_LEAST_POSES} whole 3D poses to {split} on, "
+            f"found {count}; record longer"
+        )
+    return PoseSet(stand_upright(joints[enough], up), np.full(count, 1.0 / count))
+
+
+def _well_triangulated(poses: Poses3D) -> Floats:
+    """Return the positions `[frame, individual, keypoint, 3]`, NaN where their error is large."""
+    largest = OWN_SPECIES_LARGEST_ERROR * _median(poses.error, axis=(0, 1, 2))
+    return np.where((poses.error <= largest)[..., None], poses.positions, np.nan)
+
+
+def own_skeleton(name: str, poses: Poses3D) -> Skeleton:
+    """Return a skeleton of the keypoints that have points, joined into a tree by what is rigid.
+
+    The bones are those that change their length least: a minimum spanning tree.
+
+    Raises DegenerateError where no pose has enough points.
+    """
+    known = np.isfinite(poses.positions[..., 0])
+    most = int(known.sum(-1).max(initial=0))
+    if most < LEAST_JOINTS:
+        raise DegenerateError(
+            f"expected poses with at least {LEAST_JOINTS} keypoints in 3D to learn from, "
+            f"found {most} at most; record longer"
+        )
+    seen = np.flatnonzero(known.any((0, 1)))
+    keypoints = [poses.keypoints[keypoint] for keypoint in seen]
+    spread, length = _lengths(poses.positions[:, :, seen])
+    spread = np.nan_to_num(spread, nan=np.nanmax(spread))
+    root = int(np.nanmean(length, axis=1).argmin())  # the most central keypoint
+    tree = spanning_tree(spread, root).tolist()
+    edges = [[keypoints[parent], keypoints[child]] for parent, child in tree]
+    return parse_skeleton({"name": name, "keypoints": keypoints, "edges": edges}, name)
+
+
+def _lengths(positions: Floats) -> tuple[Floats, Floats]:
+    """Return the spread and the typical value `[keypoint, keypoint]` of distances of keypoints.
+
+    positions: `[frame, individual, keypoint, 3]`. In sizes of the individual, by medians: some
+    points are wrong, and some individuals are children. NaN where two are never seen together.
+    """
+    count = positions.shape[2]
+    length = np.full((count, *positions.shape[:3]), np.nan)
+    for k in range(count):
+        length[k] = np.linalg.norm(positions - positions[:, :, k : k + 1], axis=-1)
+    size = _median(length, axis=(0, 1, 3))[0, 0]  # [individual, 1]
+    length = length / np.where(size > 0, size, np.nan)
+    typical = _median(length, axis=(1,))
+    spread = _median(np.abs(length - typical), axis=(1, 2))
+    return spread[:, 0, 0], _median(typical, axis=(1, 2))[:, 0, 0]
+
+
+def _median(values: Floats, axis: tuple[int, ...]) -> Floats:
+    """Return the medians of what is known along axes, which are kept; NaN where nothing is."""
+    unknown = np.isnan(values).all(axis, keepdims=True)
+    medians = np.nanmedian(np.where(unknown, 0.0, values), axis=axis, keepdims=True)
+    return np.where(unknown, np.nan, medians)

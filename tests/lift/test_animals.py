@@ -25,9 +25,9 @@ from mocap_calib.synthetic.procedural import (
     sample_turns,
 )
 from mocap_calib.training.config import TrainConfig
-from mocap_calib.training.dataset import Synthesiser
 from mocap_calib.training.model import LifterModule
 from mocap_calib.training.poses import PoseSet, load_poses, mix, procedural_poses
+from mocap_calib.training.synthesis import Synthesiser
 from mocap_calib.training.train import held_out_error, lifting_loss, train_lifter, training_config
 from mocap_calib.types import silent
 

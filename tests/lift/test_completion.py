@@ -5,7 +5,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import torch
 from scenes import PEOPLE, lifted, recording, scene
 
 from mocap_calib.geometry.lens import pixels_from_points
@@ -15,20 +14,9 @@ from mocap_calib.job.load import load_recording
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.lift.lift import complete_sample, lift
 from mocap_calib.lift.weights import load_lifter
-from mocap_calib.training.checkpoint import load_steerer
-from mocap_calib.training.model import complete
 from mocap_calib.types import silent
 
 PLAIN = {"people": 1, "false_detections": 0.0, "outliers": 0.0, "missing": 0.0}
-
-
-def test_what_is_seen_stays_and_the_rest_is_filled():
-    seen = torch.tensor([[True] * 20 + [False] * 9])
-    pose = torch.randn(1, 29, 2, generator=torch.Generator().manual_seed(0))
-    filled = complete(load_steerer()[0], pose, seen)
-    assert torch.equal(filled[seen], pose[seen])
-    assert torch.isfinite(filled).all()
-    assert not torch.equal(filled[~seen], pose[~seen])
 
 
 def test_hidden_limbs_are_found_to_a_third_of_a_body():

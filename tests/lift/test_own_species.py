@@ -16,8 +16,13 @@ from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.results import Poses3D
 from mocap_calib.training.config import OWN_SPECIES_TRAINING
 from mocap_calib.training.model import module_of
-from mocap_calib.training.poses import own_poses, own_skeleton, up_of_rig
-from mocap_calib.training.sources import TrainingSource, load_vocabulary
+from mocap_calib.training.sources import (
+    TrainingSource,
+    load_vocabulary,
+    own_poses,
+    own_skeleton,
+    up_of_rig,
+)
 from mocap_calib.types import CameraRig
 
 ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}

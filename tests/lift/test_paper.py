@@ -38,19 +38,18 @@ from mocap_calib.paper.solver import (
 )
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.synthetic import people
-from mocap_calib.training.checkpoint import load_steerer, save_model
-from mocap_calib.training.config import PairsConfig, TrainConfig
-from mocap_calib.training.draws import fibonacci_hemisphere, hemisphere_views
+from mocap_calib.training.config import PairsConfig, TokenConfig, TrainConfig
 from mocap_calib.training.model import (
     LifterModule,
-    TokenConfig,
     TokenSteerer,
+    load_steerer,
     matrix_from_vector,
+    save_model,
     shortest,
     steer,
 )
-from mocap_calib.training.pairs import PairSynthesiser
 from mocap_calib.training.poses import PoseSet
+from mocap_calib.training.synthesis import PairSynthesiser, hemisphere_views
 from mocap_calib.training.train import measure_steering_error, train_steerer
 from mocap_calib.types import silent
 
@@ -90,9 +89,9 @@ def poses() -> PoseSet:
     return PoseSet(found - found.mean(1, keepdims=True), np.full(len(found), 1 / len(found)))
 
 
-def test_fibonacci_covers_the_hemisphere_evenly():
+def test_cameras_cover_the_hemisphere_evenly():
     """The share of cameras in any cap is its share of the area."""
-    points = fibonacci_hemisphere(1000)
+    points = -hemisphere_views(1000, 1)[:, 2]  # cameras look at the origin
     assert (points[:, 2] > 0).all()
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1)
     nearest = np.sort(points @ points.T, axis=1)[:, -2]

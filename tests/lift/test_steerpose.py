@@ -15,11 +15,17 @@ from mocap_calib.lift.lifter import ModelConfig
 from mocap_calib.lift.weights import load_lifter
 from mocap_calib.recording.joints import load_skeleton, match_names, normalise_name
 from mocap_calib.synthetic import people
-from mocap_calib.training.checkpoint import load_steerer, save_model
 from mocap_calib.training.config import TrainConfig
-from mocap_calib.training.dataset import Batch, Synthesiser, _target
-from mocap_calib.training.model import LifterModule, lifter_of, module_of, normalise
+from mocap_calib.training.model import (
+    LifterModule,
+    lifter_of,
+    load_steerer,
+    module_of,
+    normalise,
+    save_model,
+)
 from mocap_calib.training.poses import PoseSet, load_poses
+from mocap_calib.training.synthesis import Batch, Synthesiser, _target
 from mocap_calib.training.train import lifting_loss, optimise, train_lifter
 from mocap_calib.types import silent
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib.config import ENCODER_HEADS
-from mocap_calib.training.config import PAPER_LAYERS, PAPER_WIDTH, PairsConfig, TrainConfig
+from mocap_calib.training.config import PairsConfig, TokenConfig, TrainConfig
 from mocap_calib_cli import options, values
 from mocap_calib_cli.numbers import COUNT, POSITIVE, SHARE, WholeNumber
 
@@ -115,13 +115,9 @@ def command(
       mocap-calib train --skeleton quadruped -o quadruped.safetensors --steps 4000
       mocap-calib train --from out/poses3d.h5 -o beetle.safetensors --steps 2000
     """
-    from mocap_calib.training.checkpoint import save_model
     from mocap_calib.training.device import check_device, torch_threads
-    from mocap_calib.training.sources import (
-        TrainingSource,
-        load_pose_sets,
-        load_vocabulary,
-    )
+    from mocap_calib.training.model import save_model
+    from mocap_calib.training.sources import TrainingSource, load_pose_sets, load_vocabulary
     from mocap_calib.training.train import model_card, training_config
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
@@ -138,7 +134,7 @@ def command(
     vocabulary, settings = load_vocabulary(source)
     asked = {name: value for name, value in sizes.items() if value != getattr(_DEFAULT, name)}
     if architecture == "token":
-        asked = {"width": PAPER_WIDTH, "layers": PAPER_LAYERS} | asked
+        asked = {"width": TokenConfig.width, "layers": TokenConfig.layers} | asked
     config = replace(training_config(settings), seed=shared.seed, **asked)  # type: ignore[arg-type]
     training, testing = load_pose_sets(source, vocabulary, config)
     with torch_threads(threads), Reporter(quiet=shared.quiet) as reporter:
