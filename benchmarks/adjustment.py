@@ -6,8 +6,8 @@
 One synthetic person, identities known, 2 px of noise, 5 % missing, 1 % gross errors; the cameras
 start 3 degrees and 3 % of the radius off, intrinsics fixed. SCRATCH: a folder in which the others
 get an environment of their own (aniposelib 0.8.0 from the package index). Ours is timed from
-detections to rig: choice of points, triangulation and all. `colmap` is Ceres, as in
-`adjust --solver colmap`, on the points of `ours`; `colmap-all` takes all points. Both adjust twice,
+detections to rig: choice of points, triangulation and all. `colmap` is Ceres through pycolmap
+(`ceres.py`), on the points of `ours`; `colmap-all` takes all points. Both adjust twice,
 as `ours` does: how large errors are is known only of a rig that is close. Of aniposelib,
 what it compiles is not counted.
 """
@@ -22,8 +22,8 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from ceres import adjust_by_ceres
 
-from mocap_calib.adjust.ceres import adjust_by_ceres
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.geometry.rotation import (

@@ -56,7 +56,7 @@ def main() -> None:
 def row(folder: Path) -> str:
     """Judge the reference of a recording, and damaged ones."""
     sample, lifted, rig = read(folder)
-    sound = verify_rig(sample, lifted, rig, Config(), seed=0, progress=silent)
+    sound = verify_rig(sample, lifted, rig, Config(), progress=silent)
     counts = {kind: [0, 0] for kind in KINDS}
     for kind, expected, damaged in damages(rig, np.random.default_rng(0)):
         sample = replace(sample, cameras=damaged.cameras)
@@ -82,7 +82,7 @@ def judge(sample: Sample, lifted: LiftedPoses, rig: CameraRig) -> tuple[str, ...
     """Return the cameras that are named."""
     sample = take_sample(sample, slice(None))  # the rays are those of the cameras of the rig
     try:
-        return verify_rig(sample, lifted, rig, Config(), seed=0, progress=silent).named
+        return verify_rig(sample, lifted, rig, Config(), progress=silent).named
     except DegenerateError:
         return ("none agree",)
 

@@ -240,9 +240,8 @@ class AdjustConfig:
     # Standard deviations beyond which a ray does not constrain a point. Far more than an outlier of
     # triangulation: the rig is not yet right, and the robust loss deals with outliers.
     outlier: float = 20.0
-    # One after the other, to tighten the loss. Normal errors are used with 97 % of the efficiency
-    # that there can be at 3, with 86 % at 1.5, which is safer from wrong ones. The last one of the
-    # two under which the rig's variance is estimated to be less is used.
+    # One after the other, to tighten the loss. At the last one normal errors are used with 86 % of
+    # the efficiency that there can be, and wrong ones move a rig less than at twice as much.
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
     # Share of the cost: a step of the cameras that promises to lower it by less is the last one at
     # the last loss scale ...
@@ -256,9 +255,6 @@ class AdjustConfig:
     rounds: int = 6  # of adjusting and matching; it stops when no label changes
     still_deg: float = 0.05  # and no camera turns by more than this
 
-
-# what minimises the reprojection error; the first is the default
-ADJUST_SOLVERS = ("schur", "colmap")
 
 # what of the intrinsics may be estimated
 Refinement = Literal["none", "focal", "focal+k1"]
@@ -280,16 +276,13 @@ class IntrinsicsConfig:
     least_gain: share of the uncertainty that an estimate may leave: where more is left, the
         recording does not determine the focal lengths, and they stay as given.
     k1_uncertainty: standard deviation of the first coefficient of the lens.
-    unlike_lenses: standard deviations, root mean square over the cameras, by which focal lengths
+    significance: standard deviations, root mean square over the cameras, by which focal lengths
         that are free must be away from the one that cameras of equal image size share: each has its
         own then. Measured: 0.7 to 1.3 where they are equal, 2.0 where clocks and keypoints are poor
-        besides; 3.3 to 20 where they differ by 8 to 20 %.
-    k1_significance: standard deviations that k1 must be away from what was given, to be changed.
+        besides; 3.3 to 20 where they differ by 8 to 20 %. And by which k1 of a camera must be away
+        from what was given, to be changed.
     overconfidence: by how much the variance is larger than that of independent errors, until it
         has been measured. Real recordings have 2 to 100.
-    most_overconfidence: at most, where what was seen tells hardly anything.
-    rounds: of adjusting and matching, until no focal length changes by more than the share
-        `settled`.
     """
 
     refine: Refinement = "none"
@@ -297,12 +290,8 @@ class IntrinsicsConfig:
     focal_per_camera: bool = False
     least_gain: float = 0.5
     k1_uncertainty: float = 0.2
-    unlike_lenses: float = 3.0
-    k1_significance: float = 3.0
+    significance: float = 3.0
     overconfidence: float = 25.0
-    most_overconfidence: float = 1e4
-    rounds: int = 6
-    settled: float = 1e-3
 
 
 DEFAULT_FOCAL = 1.2  # focal length of a camera of which nothing is known, in longer image sides
@@ -402,53 +391,34 @@ VERDICT_LIMITS_DEG = (1.0, 3.0, 10.0)
 class UncertaintyConfig:
     """Whether a recording determines its rig, and whether all cameras agree on it."""
 
-    time_blocks: int = 20  # stretches of the recording within which errors go together
+    # stretches of the recording within which errors go together; fewer frames accuse no camera: of
+    # 3 to 10 frames of a sound rig two focal lengths were "wrong"
+    time_blocks: int = 20
     points: int = 2500  # that the covariance of a rig is found with
     least_distance: float = 0.02  # of a point from a camera, in usual ones
-    # of freedom that its estimate counts as having at least: with fewer, a region has no bound to
-    # speak of, and the check of the moments is for these
-    least_degrees: float = 6.0
-    parts: int = 5  # of the recording, that a rig is adjusted without,
-    moments_of_a_part: int = 4  # at least
-    splits: int = 3  # of the joints into halves, that the rig is adjusted to
-    # by how much more rigs of parts differ than first order tells; 1 if that is right. Measured:
-    # 0.85 to 1.4 in 55 simulated scenes and ten recordings that determine their rigs, where it is
-    # chance; 1.6 and 2 in two that hardly do
-    usual_bend: float = 1.25
-    bend_tolerance: float = 1e-4  # as that of the adjustment, for rigs of parts
-    # Free focal lengths go back most of the way to the true ones, and the rig with them: it was off
-    # by so many times what it changes by. Measured 1.1 to 1.25 where all are wrong by 20 or 30 %.
-    focal_reach: float = 1.2
+    parts: int = 5  # of the recording, that a rig is adjusted without
+    # By how much more rigs without a part differ than first order tells: 0.8 to 1.7 in recordings
+    # that determine their rigs, where it is chance; 2.0 in two that barely do.
+    usual_bend: float = 1.5
     # Where the principal point is, from the middle of the image, in longer sides of it: a standard
     # deviation of each coordinate. Measured on 15 recordings: 0 to 4.8 %, root mean square 1.8 %.
     principal_point: float = 0.018
     # The same of a given principal point, as calibrations by a board leave it. No residual shows
     # more: of HumanEva's three cameras one may be off by 8 % (4 degrees) with equal errors.
     given_principal_point: float = 0.005
-    # An outlier camera has so many times the errors of the others. Measured: 1 to 2.6 where the
-    # cameras agree, 3.8 between telescopes, 5 to 18 where one is out of step.
+    # An outlier camera has so many times the errors of the others, and half as many those of the
+    # best quarter. Measured: 1 to 2.6 where the cameras agree, 3.8 between telescopes, 5 to 18
+    # where one is out of step. No error counts for more in the misfit of a rig.
     outlier_factor: float = 4.0
-    outlier_good_factor: float = 2.0  # and of the best quarter of them
-    # With fewer moments, standard deviations over moments are too small to accuse anybody: of 3 to
-    # 10 frames of a sound rig two focal lengths were "wrong" by 3 to 5 of them.
-    accusing_moments: int = 20
-    # A given focal length is wrong that would change by so many standard deviations, and so large a
-    # share, if it were free. Measured: at most 3.6 in thirteen real rigs, 4.7 in one of poor
-    # keypoints; 2.6, 5.5 and 8.3 where one is wrong by 5, 10 and 20 %.
-    focal_significance: float = 5.0
-    least_focal_change: float = 0.03
-    least_focal_sigma: float = 1e-5  # less is rounding: 2e-3 of a thousand frames, six cameras
-    # Of a camera whose focal length is not that of two others or more of the same image size, which
-    # are alike to `equal_focal`: by how many nats of likelihood it has rather theirs. Measured
-    # where sigma is 5 %: 1.2, 4.9 and 9.6 where one is wrong by 10, 20 and 30 %. Errors beyond
-    # sigma, which the cameras of real rigs share: up to 3.5 % of shelf.
-    equal_focal: float = 0.04
+    # A given focal length is wrong that would change by so many standard deviations if it were
+    # free: its own, or the mean of all where they are alike.
+    focal_significance: float = 4.0
+    # The same of a camera whose focal length is not that of two others of the same image size, if
+    # it has rather theirs by so many nats of likelihood. Measured where sigma is 5 %: 1.2, 4.9 and
+    # 9.6 where one is wrong by 10, 20 and 30 %.
     equal_focal_nats: float = 3.0
+    # Errors beyond sigma, which the cameras of real rigs share: up to 3.5 % of shelf.
     focal_systematic: float = 0.02
-    # of the weighed mean of all changes, where they are alike: measured at most 2.7 in sound rigs;
-    # 2.4, 5.3 and 8 where all are wrong by 10, 20 and 30 % and each is uncertain by 5 %
-    common_focal_significance: float = 4.0
-    misfit_limit: float = 4.0  # usual errors: no error counts for more in the misfit of a rig
     tied_misfit: float = 1.001  # ratio of misfits that differ by where an adjustment ended alone
     same_misfit: float = 1.05  # ratio of the misfits of two rigs that fit equally well
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
@@ -477,10 +447,6 @@ class CameraFitConfig:
 
     loss_scales: tuple[float, ...] = (8.0, 4.0, 2.0)
     steps: int = 30  # at each loss scale, at most
-    tolerance: float = 1e-6  # share of the cost: a step that lowers it by less is the last
-    first_damping: float = 1e-3
-    damping_factor: float = 10.0
-    most_damping: float = 1e6
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.adjust.estimated_cameras import estimate_cameras
+from mocap_calib.adjust.intrinsics import estimate_cameras
 from mocap_calib.adjust.refine import adjust_from_best_start
 from mocap_calib.clocks.estimate import calibrate_on_clocks, estimate_clocks
 from mocap_calib.clocks.subframe import synchronise_detections
@@ -153,7 +153,7 @@ def _calibrate_recording(
         with clock("intrinsics"):
             cameras = estimate_cameras(observed, config, progress=progress)
         observed = observe(replace(recording, cameras=cameras))
-    groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
+    groups = _calibrate_groups(observed, config, clock, progress=progress)
     return observed, _join_groups(observed, groups, config=config, seed=seed)
 
 
@@ -232,7 +232,7 @@ def match(
 
 
 def _calibrate_groups(
-    observed: Observed, config: Config, clock: Clock, *, seed: int, progress: Progress
+    observed: Observed, config: Config, clock: Clock, *, progress: Progress
 ) -> list[GroupResult]:
     """Calibrate the groups that can be calibrated, the largest first.
 
@@ -241,7 +241,7 @@ def _calibrate_groups(
     groups: list[GroupResult] = []
     refusals: list[DegenerateError] = []
     for views in camera_groups(observed.recording.cameras, observed.pairs, config.averaging):
-        work = partial(_calibrate_cameras, config=config, clock=clock, seed=seed, progress=progress)
+        work = partial(_calibrate_cameras, config=config, clock=clock, progress=progress)
         try:
             groups.append(leave_out_underconstrained(observed.select(views), work))
         except DegenerateError as error:
@@ -252,7 +252,7 @@ def _calibrate_groups(
 
 
 def _calibrate_cameras(
-    observed: Observed, *, config: Config, clock: Clock, seed: int, progress: Progress
+    observed: Observed, *, config: Config, clock: Clock, progress: Progress
 ) -> GroupResult:
     """Calibrate cameras that see the same bodies: average -> ... -> triangulate.
 
@@ -288,7 +288,6 @@ def _calibrate_cameras(
         offsets,
         config=config,
         clock=clock,
-        seed=seed,
         progress=progress,
     )
 

@@ -115,7 +115,6 @@ DOORS = {  # module: where alone it is imported
     "pycolmap": (
         "mocap_calib/geometry/colmap.py",
         "mocap_calib/io/cameras/colmap_model.py",
-        "mocap_calib/adjust/ceres.py",
         "mocap_calib/paper/five_point.py",
     ),
     "h5py": ("mocap_calib/io/",),

@@ -41,7 +41,7 @@ def test_the_page_of_other_tools_repeats_what_was_measured():
     pages = {p.stem: " ".join(p.read_text("utf-8").split()) for p in (ROOT / "docs").glob("*.md")}
     rows = [
         row.split(" | ")
-        for start in ("| ours (20,000 points", "| `--solver colmap`", "| aniposelib 0.8.0")
+        for start in ("| ours (20,000 points", "| Ceres by pycolmap", "| aniposelib 0.8.0")
         for row in [pages["benchmarks"].split(start)[1]]
     ]
     ours, ceres, anipose = ((row[1], row[3].split(" / ")[0]) for row in rows)

@@ -1,18 +1,20 @@
 """Fit one camera to points that are known: its pose, and what its images or its lens may hide.
 
 x = scale x_taken + shift: images may be resized or cropped against the intrinsics, and the focal
-length may be another. Robust nonlinear least squares (Levenberg 1944, Marquardt 1963; weights of
-Geman and McClure) on the pixels as they are, so that the errors of all explanations compare.
+length may be another. Robust nonlinear least squares (weights of Geman and McClure, by the
+iteration of `solve`) on the pixels as they are, so that the errors of all explanations compare.
 Errors of one joint go together, and those of one stretch of time: what the unknowns are uncertain
 by is measured on these (sandwich covariance, Cameron, Gelbach and Miller 2011), not assumed.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from mocap_calib.adjust.covariance import scatter_of
+from mocap_calib.adjust.solve import System, levenberg_marquardt, solve_damped
 from mocap_calib.config import CameraFitConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import matrix_from_vector
@@ -20,6 +22,7 @@ from mocap_calib.types import Camera, Floats, Ints
 
 Unknown = Literal["log_scale", "x", "y", "log_focal"]
 _MOST_LOG = 3.0  # no focal length is so many times another: beyond it a fit has run away
+_TOLERANCE = 1e-6  # share of the cost: a step that promises to lower it by less is the last
 _FAR = 1e6  # pixels: the residual of what is behind the camera
 
 
@@ -99,15 +102,19 @@ def fit_camera(
 
     noise: standard deviation in pixels; errors of several of it count less and less.
     """
-    pose, unknowns = start, np.zeros(len(free))
+    unknowns = _Unknowns(start, np.zeros(len(free)))
     for width in config.loss_scales:
-        pose, unknowns = _minimise(
-            camera, seen, pose, unknowns, config, scale=width * noise, free=free
+        unknowns = levenberg_marquardt(
+            unknowns,
+            partial(_system, camera=camera, seen=seen, free=free, scale=width * noise),
+            _Unknowns.moved,
+            tolerance=_TOLERANCE,
+            steps=config.steps,
         )
-    found = _linearise(camera, seen, pose, unknowns, free)
+    found = _linearise(camera, seen, unknowns, free)
     return CameraFit(
-        pose=pose,
-        unknowns=unknowns,
+        pose=unknowns.pose,
+        unknowns=unknowns.others,
         covariance=_covariance(found, seen, config.loss_scales[-1] * noise)[6:, 6:],
         error=np.minimum(np.sqrt((found.residual**2).sum(0)), _FAR),
     )
@@ -127,68 +134,56 @@ def shift_of_unknowns(
     Of first order: one step of Gauss and Newton. seen: with points near those of the fit.
     noise, free: as for the fit.
     """
-    moved = _linearise(camera, seen, fit.pose, fit.unknowns, free)
-    return _step(moved, config.loss_scales[-1] * noise, damping=0.0)[6:]
+    system = _system(
+        _Unknowns(fit.pose, fit.unknowns),
+        camera=camera,
+        seen=seen,
+        free=free,
+        scale=config.loss_scales[-1] * noise,
+    )
+    return solve_damped(system, damping=0.0)[6:]
 
 
-def _minimise(
-    camera: Camera,
-    seen: Seen,
-    pose: CameraPose,
-    unknowns: Floats,
-    config: CameraFitConfig,
-    *,
-    scale: float,
-    free: tuple[Unknown, ...],
-) -> tuple[CameraPose, Floats]:
-    """Return pose and unknowns after steps under a loss of one scale (pixels)."""
-    damping = config.first_damping
-    now = _linearise(camera, seen, pose, unknowns, free)
-    cost = _cost(now, scale)
-    for _ in range(config.steps):
-        step = _step(now, scale, damping)
-        moved = CameraPose(
-            matrix_from_vector(step[:3]) @ pose.rotation, pose.translation + step[3:6]
-        )
-        tried = _linearise(camera, seen, moved, unknowns + step[6:], free)
-        tried_cost = _cost(tried, scale)
-        if not tried_cost < cost:
-            damping *= config.damping_factor
-            if damping > config.most_damping:
-                break
-            continue
-        settled = cost - tried_cost < config.tolerance * cost
-        pose, unknowns, now, cost = moved, unknowns + step[6:], tried, tried_cost
-        damping /= config.damping_factor
-        if settled:
-            break
-    return pose, unknowns
+@dataclass(frozen=True)
+class _Unknowns:
+    """A pose and `[unknown]` others."""
+
+    pose: CameraPose
+    others: Floats
+
+    def moved(self, step: Floats) -> "_Unknowns":
+        """Return the unknowns after a step `[parameter]`: turn, shift and others."""
+        rotation = matrix_from_vector(step[:3]) @ self.pose.rotation
+        pose = CameraPose(rotation, self.pose.translation + step[3:6])
+        return _Unknowns(pose, self.others + step[6:])
 
 
-def _step(now: _Linearised, scale: float, damping: float) -> Floats:
-    """Return a damped Gauss-Newton step `[parameter]`."""
-    weighted = now.jacobian * _weights(now, scale)
-    information = np.einsum("pcn,qcn->pq", weighted, now.jacobian)
-    gradient = np.einsum("pcn,cn->p", weighted, now.residual)
-    diagonal = np.diag(information)
-    damped = information + damping * np.diag(diagonal + 1e-12 * diagonal.max() + 1e-300)
-    return -np.asarray(np.linalg.solve(damped, gradient))
+def _system(
+    unknowns: _Unknowns, *, camera: Camera, seen: Seen, free: tuple[Unknown, ...], scale: float
+) -> System[_Unknowns]:
+    """Return the equations about some unknowns, under Geman and McClure's loss of a scale."""
+    now = _linearise(camera, seen, unknowns, free)
+    cost, weight = _loss(now.residual, scale)
+    weighted = now.jacobian * weight
+    matrix = np.einsum("pcn,qcn->pq", weighted, now.jacobian)
+    return System(
+        unknowns=unknowns,
+        cost=cost,
+        matrix=matrix,
+        gradient=np.einsum("pcn,cn->p", weighted, now.residual),
+        stiffness=np.diag(matrix),
+    )
 
 
-def _weights(now: _Linearised, scale: float) -> Floats:
-    """Return the weights `[N]` of Geman and McClure's loss."""
-    return 1 / (1 + (now.residual**2).sum(0) / scale**2) ** 2
-
-
-def _cost(now: _Linearised, scale: float) -> float:
-    """Return the sum of Geman and McClure's loss."""
-    square = (now.residual**2).sum(0) / scale**2
-    return float((square / (1 + square)).sum())
+def _loss(residual: Floats, scale: float) -> tuple[float, Floats]:
+    """Return Geman and McClure's loss of residuals `[2, N]`, and their weights `[N]`."""
+    square = (residual**2).sum(0) / scale**2
+    return float((square / (1 + square)).sum() * scale**2), 1 / (1 + square) ** 2
 
 
 def _covariance(now: _Linearised, seen: Seen, scale: float) -> Floats:
     """Return the sandwich covariance `[parameter, parameter]`."""
-    weighted = now.jacobian * _weights(now, scale)
+    weighted = now.jacobian * _loss(now.residual, scale)[1]
     bread = np.linalg.pinv(np.einsum("pcn,qcn->pq", weighted, now.jacobian))
     scores = np.einsum("pcn,cn->pn", weighted, now.residual)
     filling = scatter_of(scores, seen.block) + scatter_of(scores, seen.keypoint)
@@ -196,27 +191,25 @@ def _covariance(now: _Linearised, seen: Seen, scale: float) -> Floats:
 
 
 def _linearise(
-    camera: Camera, seen: Seen, pose: CameraPose, unknowns: Floats, free: tuple[Unknown, ...]
+    camera: Camera, seen: Seen, now: _Unknowns, free: tuple[Unknown, ...]
 ) -> _Linearised:
     """Return residuals and how they move with a turn and a shift of the camera and the unknowns.
 
     What is behind the camera has a large residual and no slope.
     """
-    logs = [k for k, name in enumerate(free) if name.startswith("log")]
-    unknowns = unknowns.copy()
-    unknowns[logs] = unknowns[logs].clip(-_MOST_LOG, _MOST_LOG)
-    value: dict[Unknown, float] = dict(zip(free, unknowns.tolist(), strict=True))
-    if "log_focal" in value:
-        camera = lens.change_intrinsics(camera, log_focal=value["log_focal"], k1=0.0)
-    turned = pose.rotation @ seen.points.T
-    in_camera = turned + pose.translation[:, None]
+    value: dict[Unknown, float] = dict(zip(free, now.others.tolist(), strict=True))
+    for name in ("log_scale", "log_focal"):
+        value[name] = float(np.clip(value.get(name, 0.0), -_MOST_LOG, _MOST_LOG))
+    camera = lens.change_intrinsics(camera, log_focal=value["log_focal"], k1=0.0)
+    turned = now.pose.rotation @ seen.points.T
+    in_camera = turned + now.pose.translation[:, None]
     front = in_camera[2] > 1e-9
     depth = np.where(front, in_camera[2], 1.0)
     image = np.where(front, in_camera[:2] / depth, 0.0)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         slopes = lens.image_slopes(camera, image)
     taken = slopes.log_focal + camera.matrix[:2, 2:]
-    scale = float(np.exp(value.get("log_scale", 0.0)))
+    scale = float(np.exp(value["log_scale"]))
     shift = np.array([[value.get("x", 0.0)], [value.get("y", 0.0)]])
     residual = scale * taken + shift - seen.pixels.T
     good = front & np.isfinite(residual).all(0)
@@ -228,21 +221,7 @@ def _linearise(
         "y": np.stack([np.zeros_like(depth), np.ones_like(depth)]),
         "log_focal": scale * slopes.log_focal,
     }
-    parts = [_by_turn(by_shift, turned), by_shift, *(by_unknown[name][None] for name in free)]
-    jacobian = np.concatenate(parts)
+    # a turn w of the camera's axes moves R X by w x R X
+    by_turn = np.cross(turned[:, None], by_shift, axis=0)
+    jacobian = np.concatenate([by_turn, by_shift, *(by_unknown[name][None] for name in free)])
     return _Linearised(np.where(good, residual, _FAR), np.where(good, jacobian, 0.0))
-
-
-def _by_turn(by_point: Floats, turned: Floats) -> Floats:
-    """Return the slopes `[3, 2, N]` by a turn w of the camera's axes, which moves R X by w x R X.
-
-    by_point: `[3, 2, N]` slopes by the point. turned: `[3, N]` R X.
-    """
-    x, y, z = turned
-    return np.stack(
-        [
-            by_point[2] * y - by_point[1] * z,
-            by_point[0] * z - by_point[2] * x,
-            by_point[1] * x - by_point[0] * y,
-        ]
-    )

@@ -7,23 +7,19 @@ clusters of correlated errors (Cameron, Gelbach and Miller 2011: "Robust Inferen
 Clustering").
 
 The system of an adjustment keeps the robust weights fixed. The cost itself is less curved: a rig
-errs 1.4 times as far as that system says (Huber 1981: "Robust Statistics", section 7.6). Here the
-curvature of the cost is taken.
+errs 1.2 times as far as that system says (Huber 1981: "Robust Statistics", section 7.6).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.adjust.parameters import Parameters
 from mocap_calib.adjust.residuals import Linearised, Part, Residuals, State, parts_of
-from mocap_calib.adjust.solve import eliminate_points, normal_equations
+from mocap_calib.adjust.solve import Parameters, eliminate_points, normal_equations
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.types import Floats, Ints
 
-# Least curvature of the cost in any direction, as a share of that with fixed weights. Measured:
-# 0.31 to 0.68 in the direction of least curvature, 0.63 to 0.75 on average
-_LEAST_CURVATURE = 0.2
+_LEAST_CURVATURE = 0.25  # share of that with fixed weights; measured 0.6 to 0.76
 
 
 @dataclass(frozen=True)
@@ -41,11 +37,6 @@ class Covariance:
     by_time: Floats
     by_joint: Floats
     once: float
-
-    @property
-    def whole(self) -> Floats:
-        """The covariance by all errors."""
-        return self.once * self.cautious
 
     @property
     def cautious(self) -> Floats:
@@ -69,15 +60,14 @@ def find_covariance(
 
     period, joint: `[N]` numbers of the clusters of the points. scale: of the loss.
 
-    Cauchy's loss w s^2 log(1 + r'r / s^2) has the curvature u (I - 2 u r r' / (w s^2)) where its
-    weight is u = w / (1 + r'r / s^2). With residuals and derivatives weighted by sqrt(u), as
-    everywhere here, the reduced system is too large by the sum of 2 / (w s^2) q q' over all
-    detections, q being what each adds to the gradient of the cameras.
+    Cauchy's loss w s^2 log(1 + r'r / s^2) of a residual r, of two coordinates, has the curvature
+    u (I - 2 u r r' / (w s^2)) where its weight is u = w / (1 + r'r / s^2). Residuals lie in the
+    directions in which their points cannot follow, which are less than two of each.
     """
-    found = gather_information(state, seen, parameters, scale)
-    inverse = _inverse_at_size(_less_curved(found.system, found.excess), state)
-    time, joints = (scatter_of(found.scores, cluster) for cluster in (period, joint))
-    both = scatter_of(found.scores, period * (joint.max(initial=0) + 1) + joint)
+    system, scores, curvature = gather_information(state, seen, parameters, scale)
+    inverse = _inverse_at_size(curvature * system, state)
+    time, joints = (scatter_of(scores, cluster) for cluster in (period, joint))
+    both = scatter_of(scores, period * (joint.max(initial=0) + 1) + joint)
     # in standard deviations of independent errors, so that all directions count alike
     twice = float(np.trace(inverse @ both) / max(np.trace(inverse @ (time + joints)), 1e-300))
     return Covariance(
@@ -88,96 +78,54 @@ def find_covariance(
     )
 
 
-def _less_curved(system: Floats, excess: Floats) -> Floats:
-    """Return a reduced system `[free, free]` without its excess, a share of it left everywhere."""
-    stiffness = np.diag(system)
-    scale = np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max()))
-    values, vectors = np.linalg.eigh(system / scale / scale[:, None])
-    root = np.sqrt(np.maximum(values, 1e-13 * values.max()))
-    whitening = vectors / root / scale[:, None]
-    shares, directions = np.linalg.eigh(np.eye(len(system)) - whitening.T @ excess @ whitening)
-    half = scale[:, None] * (vectors * root) @ directions
-    return np.asarray((half * np.maximum(shares, _LEAST_CURVATURE)) @ half.T)
-
-
-@dataclass(frozen=True)
-class Information:
-    """What detections determine of the free parameters, with the points eliminated.
-
-    system: `[free, free]` the reduced camera system, with the prior.
-    scores: `[free, N]` what the detections of each point add to the gradient.
-    excess: `[free, free]` by how much the system is larger than the curvature of the cost.
-    """
-
-    system: Floats
-    scores: Floats
-    excess: Floats
-
-
 def gather_information(
     state: State, seen: Residuals, parameters: Parameters, scale: float
-) -> Information:
-    """Return the information of all points, and that of the prior. scale: of the loss."""
+) -> tuple[Floats, Floats, float]:
+    """Return the reduced camera system `[free, free]` of all points and the prior.
+
+    And `[free, N]` what the detections of each point add to its gradient, and the curvature of the
+    cost, as a share of that with fixed weights. scale: of the loss.
+    """
     parts = parts_of(state, seen)
-    found = list(map_in_threads(lambda part: _information_of(part, parameters, scale), parts))
+    work = map_in_threads(lambda part: _information_of(part, parameters, scale), parts)
+    systems, scores, sums = zip(*work, strict=True)
     stiffness, _ = parameters.prior(state.intrinsics)
     prior = parameters.basis.T @ (stiffness.reshape(-1, 1) * parameters.basis)
-    return Information(
-        system=np.sum([each.system for each in found], axis=0) + prior,
-        scores=np.concatenate([each.scores for each in found], axis=1),
-        excess=np.sum([each.excess for each in found], axis=0),
+    stiff, excess = np.sum(sums, axis=0)
+    seen_by = (seen.weight > 0).sum(0)
+    directions = 1 - 3 * (seen_by > 0).sum() / (2 * max(seen_by.sum(), 1))  # of two, per residual
+    curvature = 1 - excess / max(directions * stiff, 1e-300)
+    return (
+        np.sum(systems, axis=0) + prior,
+        np.concatenate(scores, axis=1),
+        max(float(curvature), _LEAST_CURVATURE),
     )
 
 
-def _information_of(part: Part, parameters: Parameters, scale: float) -> Information:
-    """Return the information of a block of points."""
+def _information_of(
+    part: Part, parameters: Parameters, scale: float
+) -> tuple[Floats, Floats, tuple[float, float]]:
+    """Return the information of a block of points, and the sums of u and of u^2 r'r / (w s^2)."""
     basis = parameters.by_view[part.views].reshape(-1, parameters.basis.shape[1])
     linear = part.seen.linearise(part.block, part.state, scale, steps=0)
     equations = normal_equations(part.state.rotation, linear)
     inverse, system, _ = eliminate_points(equations)
-    own, pull = _gradients(part.state.rotation, linear)
-    # how far each detection moves its point: the points go where the others want them
-    moved = np.einsum("ijn,vjn->vin", inverse, pull)
-    scores = own - np.einsum("vcin,in->vcn", equations.mixed, moved.sum(0))
+    moved = np.einsum("ijn,jn->in", inverse, equations.point_gradient)
+    scores = _camera_gradients(linear) - np.einsum("vcin,in->vcn", equations.mixed, moved)
     weight = part.seen.weight[:, part.block]
-    share = np.where(weight > 0, 2 / (np.where(weight > 0, weight, 1.0) * scale**2), 0.0)
-    return Information(
-        system=basis.T @ system @ basis,
-        scores=basis.T @ scores.reshape(len(basis), -1),
-        excess=basis.T @ _excess(equations.mixed, own, moved, share) @ basis,
-    )
+    # residuals are weighted by u: this is u r'r / (w s^2), and u / w is 1 less it
+    square = (linear.residual**2).sum(1) / np.where(weight > 0, weight, 1.0) / scale**2
+    robust = weight * (1 - square)
+    sums = float(robust.sum()), float((robust * square).sum())
+    return basis.T @ system @ basis, basis.T @ scores.reshape(len(basis), -1), sums
 
 
-def _gradients(rotation: Floats, linear: Linearised) -> tuple[Floats, Floats]:
-    """Return what each detection adds to the gradients of its camera and its point.
-
-    `[view, C, n]` and `[view, 3, n]`.
-    """
+def _camera_gradients(linear: Linearised) -> Floats:
+    """Return `[view, C, n]` what each detection adds to the gradient of its camera."""
     force = np.einsum("vkin,vkn->vin", linear.by_point, linear.residual)  # in the camera's frame
     turning = np.cross(linear.in_camera, force, axis=1)
     intrinsics = np.einsum("vkin,vkn->vin", linear.by_intrinsics, linear.residual)
-    own = np.concatenate([turning, force, intrinsics], axis=1)
-    return own, np.matmul(np.swapaxes(rotation, 1, 2), force)
-
-
-def _excess(mixed: Floats, own: Floats, moved: Floats, share: Floats) -> Floats:
-    """Return the sum of s q q' over all detections, `[C view, C view]`, s being their share.
-
-    q is what a detection adds to the gradient of all cameras: its `own` `[view, C, n]` to that of
-    its camera, and -W m by the way m that it moves its point (`moved`, `[view, 3, n]`).
-    mixed: `[view, C, 3, n]` W; share: `[view, n]`.
-    """
-    rows = mixed.shape[0] * mixed.shape[1]
-    spread = np.einsum("vn,vin,vjn->ijn", share, moved, moved)
-    # half of what is symmetric: (W M / 2 - D) W' and its transpose, D being that of the own parts
-    half = np.einsum("vcin,ijn->vcjn", mixed, 0.5 * spread)
-    half -= (share[:, None] * own)[:, :, None] * moved[:, None]
-    found = half.reshape(rows, -1) @ mixed.reshape(rows, -1).T
-    found += found.T.copy()
-    of_views = found.reshape(*mixed.shape[:2], *mixed.shape[:2])
-    view = np.arange(len(mixed))
-    of_views[view, :, view] += np.matmul(share[:, None] * own, np.swapaxes(own, 1, 2))
-    return found
+    return np.concatenate([turning, force, intrinsics], axis=1)
 
 
 def scatter_of(scores: Floats, cluster: Ints) -> Floats:

@@ -43,7 +43,7 @@ def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config
     several = counted & (counted.sum(0) >= min(3, len(rig)))
     focal = np.array([camera.focal for camera in rig.cameras])
     return Fit(
-        misfit=_misfit(error[counted], config.uncertainty.misfit_limit),
+        misfit=_misfit(error[counted], config.uncertainty.outlier_factor),
         angle=_quantiles(error, several, 0.5) / focal,
         good_angle=_quantiles(error, several, 0.25) / focal,
         noise=noise * focal,
@@ -81,7 +81,7 @@ def find_outlier_cameras(fit: Fit, config: UncertaintyConfig) -> Bools:
     views = len(fit.angle)
     if views <= 2:
         return np.zeros(views, dtype=bool)
-    good = _times_others(fit.good_angle) > config.outlier_good_factor
+    good = _times_others(fit.good_angle) > config.outlier_factor / 2
     return np.asarray((_times_others(fit.angle) > config.outlier_factor) & good)
 
 

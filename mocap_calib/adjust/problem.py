@@ -5,19 +5,17 @@ from functools import cached_property
 
 import numpy as np
 
-from mocap_calib.adjust.parameters import Parameters
 from mocap_calib.adjust.residuals import PixelResiduals, RayResiduals, Residuals, State
-from mocap_calib.adjust.solve import minimise
+from mocap_calib.adjust.solve import Parameters, minimise
 from mocap_calib.compute.parallel import do_both
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
-from mocap_calib.geometry.intersection import median_angles, order_by_views
-from mocap_calib.geometry.lens import ray_angles
+from mocap_calib.geometry.intersection import order_by_views
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches
 from mocap_calib.rig.labels import per_frame_labels
-from mocap_calib.rig.noise import MEDIAN_DISTANCE, view_residual
+from mocap_calib.rig.noise import view_residual
 from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Recording, Sample
@@ -30,7 +28,7 @@ class Problem:
     rig: where the adjustment starts, with the points `[3, N]` in world coordinates.
     tracks: of the points; weight 1 where a detection agrees on its point, else 0.
     noise: `[view]` standard deviation of a coordinate of the residuals, in radians.
-    loss_scale: width of the robust loss, in these.
+    loss_scale: width of the robust loss at the end, in these.
     """
 
     rig: CameraRig
@@ -68,28 +66,65 @@ def solve(
     parameters: Parameters,
     config: AdjustConfig,
     *,
-    loss_scale: float,
     already_close: bool = False,
 ) -> State:
     """Return the state of least robust cost, under a loss that is tightened in steps.
 
     Its points have yet to be optimised after the last of them (`solve.optimise_points`).
-    loss_scale: of the last step. already_close: only that one is needed.
+    already_close: only the last step is needed.
     """
-    state = start
-    if not already_close:
-        rough = config.rough_tolerance
-        for wider in wider_scales(config, loss_scale):
-            state = minimise(state, seen, parameters, loss_scale=wider, tolerance=rough)
-    return minimise(state, seen, parameters, loss_scale=loss_scale, tolerance=config.tolerance)
+    state, rough = start, config.rough_tolerance
+    *wider, last = config.loss_scales
+    for scale in () if already_close else wider:
+        state = minimise(state, seen, parameters, loss_scale=scale, tolerance=rough)
+    return minimise(state, seen, parameters, loss_scale=last, tolerance=config.tolerance)
 
 
-def wider_scales(config: AdjustConfig, loss_scale: float) -> tuple[float, ...]:
-    """Return the scales of the loss that come before one, in their order."""
-    return tuple(scale for scale in config.loss_scales if scale > loss_scale)
+# --- which parameters of the cameras are free
 
 
-# Which detections the rig is adjusted to
+def free_poses(views: int) -> Parameters:
+    """Return free poses of cameras whose intrinsics are known.
+
+    The first camera stays where it is: it is the frame of the world.
+    """
+    return Parameters(basis=np.eye(6 * views)[:, 6:], precision=np.zeros((views, 0)))
+
+
+def free_intrinsics(group: Ints, sigma: Floats) -> Parameters:
+    """Return free poses and intrinsics.
+
+    group: `[view]` cameras of one number share the changes of their intrinsics.
+    sigma: `[view, intrinsic]` standard deviation of a change, the same in all views of a group.
+    """
+    views, intrinsics = sigma.shape
+    first_free = 6 * (views - 1)
+    groups, of_view, sizes = np.unique(group, return_inverse=True, return_counts=True)
+    basis = np.zeros((views, 6 + intrinsics, first_free + len(groups) * intrinsics))
+    for view in range(views):
+        if view > 0:
+            basis[view, :6, 6 * (view - 1) : 6 * view] = np.eye(6)
+        start = first_free + of_view[view] * intrinsics
+        basis[view, 6:, start : start + intrinsics] = np.eye(intrinsics)
+    precision = 1 / (sigma**2 * sizes[of_view][:, None])
+    return Parameters(basis=basis.reshape(-1, basis.shape[2]), precision=precision)
+
+
+def free_clocks(free: Bools, sigma: float) -> Parameters:
+    """Return free poses, and free offsets of some clocks.
+
+    free: `[view]` the cameras whose clocks may change; that of the first camera must stay.
+    sigma: standard deviation of an offset, in frames.
+    """
+    every = np.eye(7 * len(free)).reshape(len(free), 7, -1)
+    unknown = np.ones((len(free), 7), dtype=bool)
+    unknown[0, :6] = False
+    unknown[:, 6] = free
+    basis = every.reshape(7 * len(free), -1)[:, unknown.ravel()]
+    return Parameters(basis=basis, precision=np.full((len(free), 1), sigma**-2))
+
+
+# --- which detections the rig is adjusted to
 
 
 def choose_problem(
@@ -148,7 +183,7 @@ def problem_of_frames(
         points=points,
         tracks=agreed,
         noise=noise,
-        loss_scale=_choose_loss_scale(rig, points, agreed.rays, agreed.used, config.adjust),
+        loss_scale=config.adjust.loss_scales[-1],
     )
 
 
@@ -164,32 +199,6 @@ def drop_low_confidence(confidence: Floats, config: AdjustConfig) -> Floats:
             spare = max(0.0, 1.0 - config.enough_detections / len(seen))
             in_view[in_view < np.quantile(seen, min(config.low_confidence_share, spare))] = 0.0
     return kept
-
-
-def _choose_loss_scale(
-    rig: CameraRig, points: Floats, rays: Floats, used: Bools, config: AdjustConfig
-) -> float:
-    """Return the width of Cauchy's loss, one of the last two, that gives the least variance.
-
-    points: `[3, N]`; rays: `[view, 3, N]`; used: `[view, N]`.
-
-    With the influence psi = w r of an error r in standard deviations, w = 1 / (1 + r^2 / s^2), the
-    variance is E |psi|^2 / (E psi')^2 (Huber 1981: "Robust Statistics", section 3.2). The mean
-    slope of psi over all directions of an error in the plane is w^2. Of points that three views
-    see (two where there are no more), in multiples of the median that their residuals would have.
-    """
-    angle = ray_angles(rig, points, rays)[0] / median_angles(rig, points, used.astype(np.float64))
-    counted = used & (used.sum(0) >= min(3, len(rig)))
-    of_views = [own[seen] for own, seen in zip(angle, counted, strict=True) if seen.any()]
-    error = np.concatenate([np.zeros(0), *(own / np.median(own) for own in of_views)])
-    error *= MEDIAN_DISTANCE
-
-    def variance(scale: float) -> float:
-        """Return the variance under a loss."""
-        weight = 1 / (1 + (error / scale) ** 2)
-        return float(np.mean((weight * error) ** 2) / np.mean(weight**2) ** 2)
-
-    return min(config.loss_scales[-2:], key=variance) if len(error) else config.loss_scales[-1]
 
 
 def _choose_frames(sample: Sample, matches: Matches, budget: int) -> Ints:

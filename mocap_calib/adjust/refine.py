@@ -1,13 +1,11 @@
 """Adjust a rig, and match by it in turns, from one start or from several."""
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from mocap_calib.adjust.fit import fit_equally_well, measure_fit
-from mocap_calib.adjust.parameters import free_poses
-from mocap_calib.adjust.problem import choose_problem, solve
+from mocap_calib.adjust.problem import choose_problem, free_poses, solve
 from mocap_calib.adjust.residuals import State
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, MatchingConfig
@@ -54,7 +52,6 @@ def adjust_once(
         problem.rays,
         free_poses(len(rig)),
         config.adjust,
-        loss_scale=problem.loss_scale,
         already_close=already_close,
     )
     return placed_as(rig, found)
@@ -64,33 +61,6 @@ def placed_as(rig: CameraRig, state: State) -> CameraRig:
     """Return the rig with the poses of a state, at the size that it has."""
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
     return with_size_of(rig, adjusted)
-
-
-class Adjuster(Protocol):
-    """What adjusts a rig to matched detections; `adjust_once` is one."""
-
-    def __call__(
-        self,
-        sample: Sample,
-        rig: CameraRig,
-        matches: Matches,
-        config: Config,
-        *,
-        already_close: bool = False,
-    ) -> CameraRig:
-        """Return the rig that fits the matched detections best."""
-
-
-def choose_adjuster(name: str) -> Adjuster:
-    """Return the adjuster of that name, one of `config.ADJUST_SOLVERS`.
-
-    "schur" is the solver of this program; "colmap" is Ceres through pycolmap.
-    """
-    if name == "schur":
-        return adjust_once
-    from mocap_calib.adjust.ceres import adjust_by_ceres  # noqa: PLC0415 - takes 0.3 s
-
-    return adjust_by_ceres
 
 
 @single_threaded_libraries()
@@ -133,11 +103,8 @@ def adjust_until_stable(
     *,
     lifted: LiftedPoses,
     progress: Progress,
-    adjuster: Adjuster = adjust_once,
 ) -> Adjusted:
     """Adjust, match by the adjusted rig, and adjust again until nothing changes.
-
-    adjuster: what adjusts, see `choose_adjuster`.
 
     It ends when no detection changes its group and no camera turns any more, or after
     `config.adjust.rounds` rounds. Raises DegenerateError where what was matched does not
@@ -145,7 +112,7 @@ def adjust_until_stable(
     """
     rounds = config.adjust.rounds
     for done in range(1, rounds + 1):
-        adjusted = adjuster(sample, rig, matches, config, already_close=done > 1)
+        adjusted = adjust_once(sample, rig, matches, config, already_close=done > 1)
         progress("adjust", done, rounds)
         matches_again = associate(sample, lifted, adjusted, config, progress=silent)
         still = _largest_turn_deg(rig, adjusted) < config.adjust.still_deg

@@ -4,8 +4,8 @@ Position, orientation and size of a rig in the world mean nothing: what counts i
 cameras are from where they should be after the best similarity between the two. So no camera is
 the fixed one, and all have a share of the uncertainty.
 
-The covariance is of first order. Rigs that are hardly determined are less linear: rigs adjusted to
-parts of the detections differ more than first order predicts, and the covariance grows with that
+The covariance is of first order. Rigs that are barely determined are less linear: rigs adjusted to
+parts of the recording differ more than first order predicts, and the covariance grows with that
 (the delete-a-group jackknife; Shao and Wu 1989: "A General Theory for Jackknife Variance
 Estimation").
 """
@@ -13,10 +13,10 @@ Estimation").
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri, fdtri
 
 from mocap_calib.adjust.covariance import Covariance, find_covariance
-from mocap_calib.adjust.parameters import free_poses
-from mocap_calib.adjust.problem import Problem, choose_problem, solve
+from mocap_calib.adjust.problem import Problem, choose_problem, free_poses, solve
 from mocap_calib.adjust.residuals import State
 from mocap_calib.adjust.solve import optimise_points, residual_lengths
 from mocap_calib.compute.parallel import map_in_threads
@@ -49,8 +49,7 @@ class FittedRig:
         """Return the state of cameras adjusted to some of the points (indices) alone."""
         some = self.problem.select(points)
         start = self.state.with_points(self.state.points[:, points])
-        rougher = replace(config.adjust, tolerance=config.uncertainty.bend_tolerance)
-        return _solve_again(start, some, rougher)
+        return _solve_again(start, some, config.adjust)
 
 
 def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> FittedRig:
@@ -69,8 +68,7 @@ def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) 
 def _solve_again(start: State, problem: Problem, config: AdjustConfig) -> State:
     """Return the state at the minimum that it is close to; its points have yet to be optimised."""
     poses = free_poses(len(problem.rig))
-    scale = problem.loss_scale
-    return solve(start, problem.rays, poses, config, loss_scale=scale, already_close=True)
+    return solve(start, problem.rays, poses, config, already_close=True)
 
 
 def _at_a_camera(problem: Problem, state: State, least: float) -> Bools:
@@ -86,53 +84,33 @@ def _at_a_camera(problem: Problem, state: State, least: float) -> Bools:
     return np.asarray((distance < least * usual).any(0))
 
 
-# The covariance
+# --- the covariance
 
 
 def rig_covariance(
-    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
-) -> RigCovariance:
-    """Return the covariance of a rig that has been adjusted to the matched detections.
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> tuple[RigCovariance, float]:
+    """Return the covariance of an adjusted rig, and the ratio of held-out to in-sample errors.
 
     Intrinsics count as known. Everything is as uncertain as can be where the matched detections do
-    not constrain the rig.
-    """
-    return covariance_and_held_out(sample, rig, matches, config, seed=seed)[0]
-
-
-def covariance_and_held_out(
-    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
-) -> tuple[RigCovariance, float]:
-    """Return `rig_covariance`, and the ratio of held-out to in-sample errors.
-
-    The ratio is NaN where there are too few frames.
+    not constrain the rig. The ratio is NaN where there are too few frames.
     """
     try:
         fitted = fit_again(sample, rig, matches, config)
     except DegenerateError:
         return RigCovariance.unknown(len(rig.cameras), rig_size(rig)), np.nan
-    return _covariance_and_held_out(fitted, config, seed=seed)
+    return covariance_of(fitted, config)
 
 
-def covariance_of(fitted: FittedRig, config: Config, *, seed: int) -> RigCovariance:
-    """Return the covariance of a rig; see `rig_covariance`."""
-    return _covariance_and_held_out(fitted, config, seed=seed)[0]
-
-
-def _covariance_and_held_out(
-    fitted: FittedRig, config: Config, *, seed: int
-) -> tuple[RigCovariance, float]:
-    """Return the covariance of a rig, and the ratio of held-out to in-sample errors."""
+def covariance_of(fitted: FittedRig, config: Config) -> tuple[RigCovariance, float]:
+    """Return the covariance of a rig, and the held-out ratio; see `rig_covariance`."""
     rig, found = fitted.rig, first_order(fitted, config)
     time, joints = (_of_poses(part, rig) for part in (found.by_time, found.by_joint))
     of_time, of_joints = _turn_variance(time), _turn_variance(joints)
-    moments = leave_out_moments(fitted, config)
-    differ, expected = halves_variance(fitted, config, seed=seed), of_joints
-    if np.isfinite(moments.variance):
-        differ, expected = differ + moments.variance, expected + of_time
-    # Leave-out refits differ by `bend` times the first-order prediction; the covariance grows by
+    parts = leave_out_parts(fitted, config)
+    # Rigs without a part differ by `bend` times the first-order prediction; the covariance grows by
     # bend^4: what parts of the errors do beyond first order, all of them together do once more.
-    bend = np.sqrt(differ / max(expected, 1e-30)) / config.uncertainty.usual_bend
+    bend = np.sqrt(parts.variance / max(of_time, 1e-30)) / config.uncertainty.usual_bend
     frames = len(np.unique(fitted.problem.tracks.frame))
     degrees = _degrees_of_freedom(fitted, of_time, of_joints, config)
     # a single frame does not show what all its joints have in common: it counts twice
@@ -143,7 +121,7 @@ def _covariance_and_held_out(
         known = np.isfinite(bend) and covariance.rotation_sigma.max() < np.pi
         if not (known and np.isfinite(covariance.centre_sigma).all()):
             covariance = RigCovariance.unknown(len(rig), rig_size(rig))
-    return covariance, moments.held_out
+    return covariance, parts.held_out
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:
@@ -182,22 +160,17 @@ def _degrees_of_freedom(
     )
     spread = of_time**2 / periods + of_joints**2 / joints
     degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
-    return max(degrees, config.uncertainty.least_degrees)
+    return max(degrees, 6.0)  # those of a pose
 
 
 def hotelling_factor(degrees: float) -> float:
     """Return by how much a covariance must grow for its 95 % regions to hold 95 %.
 
-    Regions of three numbers. degrees: of freedom of the covariance, 6 or more. Its own error makes
-    the squared distances those of Hotelling's T^2; the quantile of F by Paulson's approximation
-    (1942), to 2 %.
+    Regions of three numbers. degrees: of freedom of the covariance. Its own error makes the squared
+    distances those of Hotelling's T^2.
     """
     left = degrees - 2
-    z, chi_square = 1.644854, 7.814728  # 95 % quantiles of a normal number, and of three squared
-    a, b = 1 - 2 / (9 * 3), 1 - 2 / (9 * left)
-    square, middle, rest = b**2 - z**2 * (1 - b), a * b, a**2 - z**2 * (1 - a)
-    root = (middle + np.sqrt(middle**2 - square * rest)) / square
-    return float(3 * degrees / left * root**3 / chi_square)
+    return float(3 * degrees / left * fdtri(3, left, 0.95) / chdtri(3, 0.05))
 
 
 def _turn_variance(covariance: RigCovariance) -> float:
@@ -223,31 +196,29 @@ def _of_poses(matrix: Floats, rig: CameraRig) -> RigCovariance:
     return RigCovariance(matrix=whole.reshape(views, 6, views, 6), size=size)
 
 
-# Rigs of parts of the detections
+# --- rigs of parts of the recording
 
 
 @dataclass(frozen=True)
 class LeftOut:
     """Rigs that are each made without a fifth of the recording.
 
-    variance: of all turns together, in square radians, by the jackknife.
+    variance: of all turns together, in square radians, by the jackknife; 0 of a single frame.
     held_out: largest ratio, over the fifths, of the median error in the rig made without it to that
-        in the rig of all; NaN where nothing was left out.
+        in the rig of all; NaN of few frames, where each would weigh too much.
     """
 
     variance: float
     held_out: float
 
 
-def leave_out_moments(fitted: FittedRig, config: Config) -> LeftOut:
-    """Return rigs that are each made without a fifth of the recording.
-
-    With few more frames than fifths, each would weigh too much: all is NaN.
-    """
-    count, tracks = config.uncertainty.parts, fitted.problem.tracks
-    if len(np.unique(tracks.frame)) < config.uncertainty.moments_of_a_part * count:
-        return LeftOut(variance=np.nan, held_out=np.nan)
-    part = tracks.time_blocks(count)
+def leave_out_parts(fitted: FittedRig, config: Config) -> LeftOut:
+    """Return rigs that are each made without a fifth of the recording."""
+    tracks = fitted.problem.tracks
+    frames = len(np.unique(tracks.frame))
+    if frames == 1:
+        return LeftOut(variance=0.0, held_out=np.nan)
+    part = tracks.time_blocks(min(config.uncertainty.parts, frames))
 
     def without(number: int) -> tuple[Floats, float]:
         """Return the turns of the cameras without a part, and the ratio of its errors."""
@@ -255,21 +226,8 @@ def leave_out_moments(fitted: FittedRig, config: Config) -> LeftOut:
         return fitted.change(state), _error_ratio(state, np.flatnonzero(part == number), fitted)
 
     turns, errors = zip(*map_in_threads(without, range(int(part.max()) + 1)), strict=True)
-    return LeftOut(variance=jackknife(np.stack(turns)), held_out=max(errors))
-
-
-def halves_variance(fitted: FittedRig, config: Config, *, seed: int) -> float:
-    """Return the variance of all turns together, by rigs of random halves of the joints."""
-    joints, joint = np.unique(fitted.problem.tracks.keypoint, return_inverse=True)
-    if len(joints) < 2:
-        return np.inf
-    rng = np.random.default_rng(seed)
-    half = [(rng.permutation(len(joints)) % 2)[joint] for _ in range(config.uncertainty.splits)]
-    kept = (np.flatnonzero(each == one) for each in half for one in (0, 1))
-    states = map_in_threads(lambda points: fitted.without(points, config), kept)
-    turns = np.stack([fitted.change(state) for state in states])
-    # a half errs by twice the variance of the whole, and two of them differ by four times that
-    return float(((turns[::2] - turns[1::2]) ** 2).sum()) / (4 * len(half))
+    few = frames < config.uncertainty.time_blocks
+    return LeftOut(jackknife(np.stack(turns)), held_out=np.nan if few else max(errors))
 
 
 def jackknife(turns: Floats) -> float:

@@ -2,77 +2,103 @@
 
 Levenberg and Marquardt's iteration on the reduced camera system (Triggs, McLauchlan, Hartley and
 Fitzgibbon 2000: "Bundle Adjustment - A Modern Synthesis", section 6.1). The points are optimised
-after each step of the cameras.
+after each step of the cameras. The same iteration fits one camera to known points (`camera_fit`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from mocap_calib.adjust.parameters import Parameters
 from mocap_calib.adjust.residuals import Linearised, Part, Residuals, State, parts_of
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels import schur as kernels
 from mocap_calib.kernels.loading import contiguous
-from mocap_calib.types import Floats
+from mocap_calib.types import Floats, Ints
 
 # Levenberg and Marquardt's damping; more of it after a step that raised the cost, less after others
 _STEPS = 50
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-10, 1e8
 _DAMPING_FACTOR = 10.0
 
+Unknowns = TypeVar("Unknowns")
 
-@dataclass(frozen=True)
-class NormalEquations:
-    """The Gauss-Newton system about a state, with A and B the Jacobians of cameras and points.
 
-    camera: `[view, C, C]` the blocks U = A'A of the cameras, of C unknowns each.
-    camera_gradient: `[view, C]` a = A'r.
-    point: `[3, 3, N]` the blocks V = B'B of the points.
-    point_gradient: `[3, N]` b = B'r.
-    mixed: `[view, C, 3, N]` the blocks W = A'B of a camera and a point.
-    """
-
-    camera: Floats
-    camera_gradient: Floats
-    point: Floats
-    point_gradient: Floats
-    mixed: Floats
+# --- which parameters are free
 
 
 @dataclass(frozen=True)
-class _Reduced:
-    """The system of the cameras about a state whose points are optimised.
+class Parameters:
+    """The free parameters of cameras: poses, and intrinsics with a prior.
 
-    matrix: `[C view, C view]` and gradient: `[C view]` as of `eliminate_points`.
-    stiffness: `[C view]` the diagonals of the cameras' own blocks, which damping adds to.
+    Each camera has C parameters: turn, shift, and its intrinsics.
+    basis: `[C view, free]` 1 where a parameter of a camera is one of the free ones, else 0.
+    precision: `[view, intrinsic]` inverse variance of a change of intrinsics; views that share them
+        have a part of it each.
     """
 
-    state: State
+    basis: Floats
+    precision: Floats
+
+    @property
+    def intrinsics(self) -> Ints:
+        """Index `[view, intrinsic]` of the free parameter that each of the intrinsics is."""
+        return np.asarray(self.by_view[:, 6:].argmax(2), dtype=np.int64)
+
+    @property
+    def by_view(self) -> Floats:
+        """The basis as `[view, C, free]`."""
+        return self.basis.reshape(len(self.precision), -1, self.basis.shape[1])
+
+    def prior(self, intrinsics: Floats) -> tuple[Floats, Floats]:
+        """Return stiffness and gradient `[view, C]` of the prior at changes of intrinsics."""
+        of_pose = np.zeros((len(intrinsics), 6))
+        gradient = np.concatenate([of_pose, self.precision * intrinsics], axis=1)
+        return np.concatenate([of_pose, self.precision], axis=1), gradient
+
+
+# --- the iteration
+
+
+@dataclass(frozen=True)
+class System(Generic[Unknowns]):
+    """Gauss and Newton's equations of the free parameters about some unknowns.
+
+    cost: robust, in squared residuals. matrix: `[free, free]` and gradient: `[free]`.
+    stiffness: `[free]` what damping adds a share of to the diagonal of the matrix.
+    """
+
+    unknowns: Unknowns
     cost: float
     matrix: Floats
     gradient: Floats
     stiffness: Floats
 
 
-def minimise(
-    state: State, seen: Residuals, parameters: Parameters, *, loss_scale: float, tolerance: float
-) -> State:
-    """Return the state of least robust cost: Cauchy's loss at `loss_scale` standard deviations.
+def levenberg_marquardt(
+    start: Unknowns,
+    linearise: Callable[[Unknowns], System[Unknowns]],
+    move: Callable[[Unknowns, Floats], Unknowns],
+    *,
+    tolerance: float,
+    steps: int = _STEPS,
+) -> Unknowns:
+    """Return the unknowns of least cost.
 
-    The scale of the rig is free. It ends with a step that promises to lower the cost by no more
-    than the share `tolerance`, after which the points have yet to be optimised (`optimise_points`).
+    move: applies a step `[free]`. It ends with a step that promises to lower the cost by no more
+    than the share `tolerance`, or after so many steps.
     """
     damping = _FIRST_DAMPING
-    now = _reduce(state, seen, parameters, loss_scale)
-    for _ in range(_STEPS):
-        step = _solve_cameras(now, parameters.basis, damping)
-        moved = _move(now.state, step)
-        promised = -float(step.ravel() @ now.gradient)
+    now = linearise(start)
+    for _ in range(steps):
+        step = solve_damped(now, damping)
+        moved = move(now.unknowns, step)
+        promised = -float(step @ now.gradient)
         if damping <= _FIRST_DAMPING and promised <= tolerance * now.cost:
             return moved
-        then = _reduce(moved, seen, parameters, loss_scale)
+        then = linearise(moved)
         if then.cost < now.cost:
             now = then
             damping = max(damping / _DAMPING_FACTOR, _LEAST_DAMPING)
@@ -80,7 +106,36 @@ def minimise(
             damping *= _DAMPING_FACTOR
             if damping > _MOST_DAMPING:
                 break
-    return now.state
+    return now.unknowns
+
+
+def solve_damped(system: System[Unknowns], damping: float) -> Floats:
+    """Return the damped step `[free]`."""
+    matrix = system.matrix + damping * np.diag(system.stiffness)
+    stiffness = np.diag(matrix)
+    # rounding may leave a direction that nothing constrains below zero
+    scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max() + 1e-150))
+    scaled = scale[:, None] * matrix * scale + 1e-12 * np.eye(len(matrix))
+    return -scale * np.asarray(np.linalg.solve(scaled, scale * system.gradient))
+
+
+# --- a rig
+
+
+def minimise(
+    state: State, seen: Residuals, parameters: Parameters, *, loss_scale: float, tolerance: float
+) -> State:
+    """Return the state of least robust cost: Cauchy's loss at `loss_scale` standard deviations.
+
+    The scale of the rig is free. tolerance: see `levenberg_marquardt`; the points have yet to be
+    optimised after its last step (`optimise_points`).
+    """
+    return levenberg_marquardt(
+        state,
+        lambda now: _reduce(now, seen, parameters, loss_scale),
+        lambda now, step: _move(now, (parameters.basis @ step).reshape(len(now.rotation), -1)),
+        tolerance=tolerance,
+    )
 
 
 def optimise_points(state: State, seen: Residuals, *, loss_scale: float) -> State:
@@ -103,7 +158,25 @@ def residual_lengths(state: State, seen: Residuals) -> Floats:
     return found
 
 
-# The normal equations
+# --- the normal equations
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """The Gauss-Newton system about a state, with A and B the Jacobians of cameras and points.
+
+    camera: `[view, C, C]` the blocks U = A'A of the cameras, of C unknowns each.
+    camera_gradient: `[view, C]` a = A'r.
+    point: `[3, 3, N]` the blocks V = B'B of the points.
+    point_gradient: `[3, N]` b = B'r.
+    mixed: `[view, C, 3, N]` the blocks W = A'B of a camera and a point.
+    """
+
+    camera: Floats
+    camera_gradient: Floats
+    point: Floats
+    point_gradient: Floats
+    mixed: Floats
 
 
 def normal_equations(rotation: Floats, linear: Linearised) -> NormalEquations:
@@ -167,11 +240,13 @@ def _own_blocks(camera: Floats, residual: Floats) -> tuple[Floats, Floats]:
     return np.matmul(rows, np.swapaxes(rows, 1, 2)), gradient
 
 
-# The reduced camera system
+# --- the reduced camera system
 
 
-def _reduce(state: State, seen: Residuals, parameters: Parameters, loss_scale: float) -> _Reduced:
-    """Optimise the points of a state, and return the system of the cameras about it."""
+def _reduce(
+    state: State, seen: Residuals, parameters: Parameters, loss_scale: float
+) -> System[State]:
+    """Optimise the points of a state, and return the system of the free parameters about it."""
     unknowns = 6 + state.intrinsics.shape[1]
     size = unknowns * len(state.rotation)
     matrix, gradient, stiffness = np.zeros((size, size)), np.zeros(size), np.zeros(size)
@@ -186,12 +261,13 @@ def _reduce(state: State, seen: Residuals, parameters: Parameters, loss_scale: f
         points.append(linear.points)
         cost += linear.cost
     known, pull = (each.ravel() for each in parameters.prior(state.intrinsics))
-    return _Reduced(
-        state=replace(state, points=np.concatenate(points, axis=1)),
+    basis = parameters.basis
+    return System(
+        unknowns=replace(state, points=np.concatenate(points, axis=1)),
         cost=cost * loss_scale**2 + float((parameters.precision * state.intrinsics**2).sum()),
-        matrix=matrix + np.diag(known),
-        gradient=gradient + pull,
-        stiffness=stiffness + known,
+        matrix=basis.T @ (matrix + np.diag(known)) @ basis,
+        gradient=basis.T @ (gradient + pull),
+        stiffness=basis.T @ (stiffness + known),
     )
 
 
@@ -206,24 +282,6 @@ def _reduce_part(part: Part, loss_scale: float) -> tuple[Linearised, Floats, Flo
     blocks, gradient = _own_blocks(camera, linear.residual)
     system = _schur_complement(blocks, gradient, product, side)
     return linear, *system, np.einsum("vii->vi", blocks).ravel()
-
-
-# The step
-
-
-def _solve_cameras(reduced: _Reduced, basis: Floats, damping: float) -> Floats:
-    """Return the damped step of the cameras `[view, C]`.
-
-    basis: `[C view, free]` as in `Parameters`.
-    """
-    damped = reduced.matrix + damping * np.diag(reduced.stiffness)
-    matrix = basis.T @ damped @ basis
-    stiffness = np.diag(matrix)
-    # rounding may leave a direction that nothing constrains below zero
-    scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max() + 1e-150))
-    scaled = scale[:, None] * matrix * scale + 1e-12 * np.eye(len(matrix))
-    step = basis @ (-scale * np.linalg.solve(scaled, scale * (reduced.gradient @ basis)))
-    return step.reshape(len(reduced.state.rotation), -1)
 
 
 def _move(state: State, cameras: Floats) -> State:

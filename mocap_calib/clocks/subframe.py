@@ -14,8 +14,7 @@ import numpy as np
 
 from mocap_calib.adjust.covariance import find_covariance
 from mocap_calib.adjust.motion import Motion, motion_between, smoothness
-from mocap_calib.adjust.parameters import free_clocks
-from mocap_calib.adjust.problem import Problem, problem_of_frames
+from mocap_calib.adjust.problem import Problem, free_clocks, problem_of_frames
 from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
 from mocap_calib.adjust.solve import minimise, optimise_points
 from mocap_calib.clocks.resample import resample

@@ -96,9 +96,9 @@ def _build_core(observed: Observed, config: Config) -> CoreRig:
     )
 
 
-def core_covariance(core: CoreRig, config: Config, *, seed: int) -> RigCovariance:
+def core_covariance(core: CoreRig, config: Config) -> RigCovariance:
     """Return how sure the places of these cameras are."""
-    return rig_covariance(core.sample, core.rig, core.placed.matches, config, seed=seed)
+    return rig_covariance(core.sample, core.rig, core.placed.matches, config)[0]
 
 
 def is_determined(covariance: RigCovariance, config: DiagnosisConfig) -> bool:

@@ -42,7 +42,7 @@ def find_odd_cameras(
     if _is_ambiguous(certain, config.diagnosis):
         return ()
     for finding in certain:
-        covariance = core_covariance(finding.core, config, seed=result.seed)
+        covariance = core_covariance(finding.core, config)
         if is_determined(covariance, config.diagnosis):
             exact = [each for each in certain if each.explanation.mend is not None]
             rivals = [[finding], exact] if len(exact) > 1 else [[finding]]
@@ -91,7 +91,7 @@ def diagnose(observed: Observed, view: int, config: Config, *, seed: int) -> Fin
     sure = [each for each in acceptable if not each.explanation.free]
     estimated = [each for each in acceptable if each.explanation.free]
     if estimated:  # all of them rest on the same rig
-        covariance = core_covariance(estimated[0].core, config, seed=seed)
+        covariance = core_covariance(estimated[0].core, config)
         doubted = (with_uncertain_core(each, covariance, config) for each in estimated)
         least = config.diagnosis.core_significance
         sure += [each for each in doubted if each.fit.significance > least]

@@ -1,6 +1,6 @@
 """A rig and observed points as COLMAP's own record of them, a `pycolmap.Reconstruction`.
 
-Files are written of it (`io.cameras.colmap`), and Ceres adjusts it (`adjust.ceres`). COLMAP has
+Files are written of it (`io.cameras.colmap`), and a benchmark has Ceres adjust it. COLMAP has
 (0, 0) at the corner of the first pixel, we have it at its centre: half a pixel is added here.
 """
 

@@ -25,8 +25,6 @@ from mocap_calib.verdict.checks import check_rig
 from mocap_calib.verdict.uncertainty import assess_uncertainty
 from mocap_calib.verdict.verdict import assess, judge
 
-_SEED = 0  # of the parts of the joints that the uncertainty looks at
-
 
 def conclude(
     observed: Observed,
@@ -37,7 +35,6 @@ def conclude(
     *,
     config: Config,
     clock: Clock,
-    seed: int,
     progress: Progress,
 ) -> GroupResult:
     """Assess an adjusted rig and triangulate the bodies; return all that was found.
@@ -48,7 +45,7 @@ def conclude(
     recording, sample, rig = observed.recording, observed.sample, adjusted.rig
     with clock("uncertainty"):
         sampled = matches.select(frames=observed.sample_frames, instances=sample.positions.shape[2])
-        uncertainty = assess_uncertainty(sample, rig, sampled, config, seed=seed)
+        uncertainty = assess_uncertainty(sample, rig, sampled, config)
     with clock("triangulate"):
         poses = triangulate(recording, rig, matches, config.triangulate, progress=progress)
     group = GroupResult(
@@ -93,7 +90,6 @@ def conclude_without_pairs(
         TimeOffsets.unknown(len(rig)),
         config=config,
         clock=Clock(),
-        seed=_SEED,
         progress=silent,
     )
     return judge(
@@ -102,7 +98,7 @@ def conclude_without_pairs(
             left_out=(),
             unused_pairs=(),
             config=config,
-            seed=_SEED,
+            seed=0,
             clocks=Clocks.of_one(sample),
         )
     )

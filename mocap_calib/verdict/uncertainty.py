@@ -17,33 +17,32 @@ import numpy as np
 from mocap_calib.adjust.fit import find_outlier_cameras, find_weak_perspective, measure_fit
 from mocap_calib.adjust.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
 from mocap_calib.adjust.refine import adjust_once
-from mocap_calib.adjust.rig_covariance import covariance_and_held_out
-from mocap_calib.adjust.wrong_focal import find_wrong_focal
+from mocap_calib.adjust.rig_covariance import rig_covariance
 from mocap_calib.compute.parallel import do_both, single_threaded_libraries
-from mocap_calib.config import Config, UncertaintyConfig
+from mocap_calib.config import Config, IntrinsicsConfig, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import Matches, RigCovariance, Uncertainty
 from mocap_calib.rig.tracks import labelled_frames
-from mocap_calib.types import Camera, CameraRig, EstimatedCamera, Floats, Ints, Sample
+from mocap_calib.types import Bools, Camera, CameraRig, EstimatedCamera, Floats, Ints, Sample
 
 _SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
 
 
 @single_threaded_libraries()
 def assess_uncertainty(
-    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
 ) -> Uncertainty:
     """Return how well the sample determines the rig, and which cameras stand out.
 
-    A few moments accuse no camera.
+    Few frames accuse no camera: standard deviations over time are too small then.
     """
     (fit, (covariance, held_out)), free = do_both(
         lambda: (
             measure_fit(sample, rig, matches, config),
-            covariance_and_held_out(sample, rig, matches, config, seed=seed),
+            rig_covariance(sample, rig, matches, config),
         ),
         lambda: _free_focal(sample, rig, matches, config),
     )
@@ -51,7 +50,7 @@ def assess_uncertainty(
     unknown = np.full(len(rig.cameras), np.nan)
     given = None if _any_estimated(rig) else free  # nobody is accused of what was estimated
     change, sigma = (unknown, unknown) if given is None else (given.change, given.sigma)
-    tells = len(labelled_frames(matches)) >= config.uncertainty.accusing_moments
+    tells = len(labelled_frames(matches)) >= config.uncertainty.time_blocks
     return Uncertainty(
         covariance=covariance.with_changes(off),
         held_out=held_out,
@@ -167,7 +166,7 @@ def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfi
     usual = np.hypot(free.sigma, config.focal_systematic)
     significance = float(np.mean((free.change / usual) ** 2))
     beyond_usual = max(0.0, 1 - 1 / max(significance, 1e-12))
-    return config.focal_reach * np.sqrt(beyond_usual) * rig_change(rig, free.rig)
+    return np.sqrt(beyond_usual) * rig_change(rig, free.rig)
 
 
 def estimated_focal_changes(
@@ -220,3 +219,63 @@ def _change_with_focal(
         nothing = RigCovariance.unknown(len(cameras), rig_size(rig)).matrix
         return np.sqrt(np.einsum("vivi->vi", nothing))
     return rig_change(rig, found)
+
+
+# --- which focal lengths that were given are wrong
+
+
+def find_wrong_focal(
+    cameras: tuple[Camera, ...], change: Floats, sigma: Floats, config: UncertaintyConfig
+) -> Bools:
+    """Return the cameras `[view]` whose focal lengths are certainly other than was given.
+
+    By what they would change to if they were free. Three signs: a change that is certain by itself;
+    one that is likely and would give a camera the focal length of its equals; and changes of all
+    cameras alike, which are less uncertain together.
+
+    change, sigma: `[view]` of their logarithms, as of `FreeFocal`; NaN = not known.
+    """
+    uncertain = np.hypot(sigma, config.focal_systematic / 2)
+    certain = np.abs(change) > config.focal_significance * uncertain
+    unlike = _favours_equals(cameras, change, sigma, config)
+    return np.asarray(certain | unlike | _all_change_alike(change, sigma, config))
+
+
+def _favours_equals(
+    cameras: tuple[Camera, ...], change: Floats, sigma: Floats, config: UncertaintyConfig
+) -> Bools:
+    """Return where a camera `[view]` has rather the focal length of the others than its own.
+
+    The others: at least two of the same image size, whose focal lengths are alike. The ratio of the
+    likelihoods of the two focal lengths must be large.
+    """
+    focal, alike = np.log([camera.focal for camera in cameras]), 2 * config.focal_systematic
+    kind = shared_intrinsics(cameras, IntrinsicsConfig())
+    found = np.zeros(len(cameras), dtype=bool)
+    for view in range(len(cameras)):
+        others = np.flatnonzero((kind == kind[view]) & (np.arange(len(cameras)) != view))
+        if len(others) < 2 or np.ptp(focal[others]) > alike:
+            continue
+        to_others = float(np.median(focal[others])) - focal[view]
+        variance = sigma[view] ** 2 + config.focal_systematic**2
+        nats = (change[view] ** 2 - (change[view] - to_others) ** 2) / (2 * variance)
+        found[view] = abs(to_others) > alike and nats > config.equal_focal_nats
+    return found
+
+
+def _all_change_alike(change: Floats, sigma: Floats, config: UncertaintyConfig) -> Bools:
+    """Return where a camera `[view]` has a wrong focal length as all others have, or none.
+
+    The mean of the changes weighed by their certainty is that of one focal length that the cameras
+    share, and nearly as certain.
+    """
+    nobody = np.zeros(len(change), dtype=bool)
+    if len(change) < 3 or not np.isfinite(change).all():
+        return nobody
+    weight = 1 / sigma**2
+    mean = float((change * weight).sum() / weight.sum())
+    uncertain = float(np.hypot(np.sqrt(1 / weight.sum()), config.focal_systematic / 2))
+    apart = np.abs(change - mean) > 2 * np.hypot(sigma, config.focal_systematic)
+    if apart.any() or abs(mean) < config.focal_significance * uncertain:
+        return nobody
+    return np.asarray(np.sign(mean) * change > sigma)

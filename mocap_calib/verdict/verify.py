@@ -95,7 +95,7 @@ def verify(
         recording = hide_blind_spots(retime(recording, clocks))
         sample = take_sample(recording, choose_sample_frames(recording, config.sample))
         lifted = lift_sample(sample)
-        found = verify_rig(sample, lifted, rig, config, seed=seed, progress=progress)
+        found = verify_rig(sample, lifted, rig, config, progress=progress)
     return replace(found, clocks=clocks.after(said))
 
 
@@ -105,7 +105,6 @@ def verify_rig(
     rig: CameraRig,
     config: Config,
     *,
-    seed: int,
     progress: Progress,
 ) -> Verification:
     """Return how far a rig agrees with a sample of a recording. Raises as `verify` does."""
@@ -113,7 +112,7 @@ def verify_rig(
     part, given = sample.select(views=views), rig.select(views)
     fitted = fit_again(part, adjusted.rig, adjusted.matches, config)
     change = find_changes(given, adjusted.rig, cautious_covariances(fitted, config), config)
-    covariance = covariance_of(fitted, config, seed=seed)
+    covariance, _ = covariance_of(fitted, config)
     placed = PlacedCameras.of(part, adjusted.rig, adjusted.matches, config)
     placed = replace(placed, rig=given)
     mended = _refit(part, placed, change, config)
@@ -255,11 +254,11 @@ def _is_focal(
 ) -> bool:
     """Return whether another focal length explains what looks like a move."""
     settings = config.uncertainty
-    certain = free.significance > settings.focal_significance**2
-    large = abs(free.unknowns[0]) > settings.least_focal_change
+    uncertain = np.hypot(np.sqrt(free.covariance[0, 0]), settings.focal_systematic / 2)
+    certain = abs(free.unknowns[0]) > settings.focal_significance * uncertain
     turns, shifts = zip(*(_move_of(fit.pose, given, view) for fit in (free, plain)), strict=True)
     distance = np.hypot(turns, np.array(shifts) / rig_size(given))
-    return bool(certain and large and distance[0] < distance[1] / 2)
+    return bool(certain and distance[0] < distance[1] / 2)
 
 
 def _move_of(pose: CameraPose, given: CameraRig, view: int) -> tuple[float, float]:

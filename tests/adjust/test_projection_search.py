@@ -180,9 +180,11 @@ def test_slopes_of_what_a_camera_sees_are_those_of_differences():
     def residual(change):
         turn = matrix_from_vector(change[:3])
         pose = CameraPose(turn @ POSE.rotation, POSE.translation + change[3:6])
-        return camera_fit._linearise(CAMERA, seen, pose, at + change[6:], free).residual
+        return camera_fit._linearise(
+            CAMERA, seen, camera_fit._Unknowns(pose, at + change[6:]), free
+        ).residual
 
-    found = camera_fit._linearise(CAMERA, seen, POSE, at, free).jacobian
+    found = camera_fit._linearise(CAMERA, seen, camera_fit._Unknowns(POSE, at), free).jacobian
     for slope, change in zip(found, step * np.eye(10), strict=True):
         expected = (residual(change) - residual(-change)) / (2 * step)
         np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-3)
@@ -192,12 +194,11 @@ def test_an_error_of_a_fit_weighs_as_its_cost_grows():
     """Of both, the slopes by the squared error in units of the scale."""
     squares, scale, step = np.array([0.0, 0.25, 1.0, 9.0]), 3.0, 1e-6
 
-    def errors(square):
-        return camera_fit._Linearised(scale * np.sqrt([square, 0 * square]), np.zeros((0, 2, 4)))
+    def costs(square):
+        return camera_fit._loss(scale * np.sqrt([square, 0 * square]), scale)
 
-    grown = [camera_fit._cost(errors(squares + step * e), scale) for e in np.eye(4)]
-    expected = (np.array(grown) - camera_fit._cost(errors(squares), scale)) / step
-    np.testing.assert_allclose(camera_fit._weights(errors(squares), scale), expected, atol=1e-5)
+    expected = [(costs(squares + step * e)[0] - costs(squares)[0]) / step for e in np.eye(4)]
+    np.testing.assert_allclose(costs(squares)[1], np.array(expected) / scale**2, atol=1e-5)
 
 
 def test_costs_of_detections_are_those_of_numpy():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mocap_calib.adjust.wrong_focal import find_wrong_focal
 from mocap_calib.config import UncertaintyConfig
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.types import Camera
+from mocap_calib.verdict.uncertainty import find_wrong_focal
 
 CONFIG = UncertaintyConfig()
 

@@ -25,9 +25,7 @@ def judge(rig: CameraRig, **changes) -> Verification:
     """Judge a rig of a scene's cameras, or of the first ones of them, by the scene."""
     views = np.arange(len(rig))
     sample = with_cameras(recording(**changes).select(views=views), rig.cameras)
-    return verify_rig(
-        sample, lifted(**changes).select(views), rig, Config(), seed=0, progress=silent
-    )
+    return verify_rig(sample, lifted(**changes).select(views), rig, Config(), progress=silent)
 
 
 def move(rig: CameraRig, view: int, degrees: float, shift=(0.0, 0.0, 0.0)) -> CameraRig:

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mocap_calib.config import ADJUST_SOLVERS
 from mocap_calib_cli import options, values
 
 if TYPE_CHECKING:
@@ -20,13 +19,6 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Where to write the matches that the adjusted cameras imply.",
 )
-@click.option(
-    "--solver",
-    type=click.Choice(ADJUST_SOLVERS),
-    default=ADJUST_SOLVERS[0],
-    metavar="NAME",
-    help="What adjusts: schur (ours), or colmap (Ceres through pycolmap, for a second opinion).",
-)
 @options.shared_options(
     "rig", "matches", *options.MODEL, *options.KEYPOINTS, *options.VERDICT, "quiet"
 )
@@ -36,7 +28,6 @@ def command(
     shared: options.SharedOptions,
     output: str,
     matches_out: str | None,
-    solver: str,
 ) -> None:
     """Adjust the cameras and match again, in turn, until no match changes (bundle adjustment).
 
@@ -47,9 +38,8 @@ def command(
     Example:
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv -o cameras.yaml
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --matches-out new.csv
-      mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --solver colmap -o b.yaml
     """
-    from mocap_calib.adjust.refine import adjust_until_stable, choose_adjuster
+    from mocap_calib.adjust.refine import adjust_until_stable
     from mocap_calib.config import Config
     from mocap_calib.identities.track import finalise_identities
     from mocap_calib.io.results.matches_csv import matches_csv
@@ -75,7 +65,6 @@ def command(
             config,
             lifted=lifted,
             progress=reporter,
-            adjuster=choose_adjuster(solver),
         )
         if matches_out is not None:
             matches = label_all_frames(
@@ -89,7 +78,7 @@ def command(
             matches = finalise_identities(recording, adjusted.rig, matches, config)
             outputs.write_text(matches_out, matches_csv(recording, matches, loaded.clocks))
         result = conclude_without_pairs(sample, lifted, rig, adjusted, config)
-    _write_judged(result, output, shared, reporter, solver=solver, frames=frames)
+    _write_judged(result, output, shared, reporter, frames=frames)
     context.exit(verdicts.exit_status(result.groups[0].verdict, shared))
 
 
@@ -99,7 +88,6 @@ def _write_judged(
     shared: options.SharedOptions,
     reporter: "Reporter",
     *,
-    solver: str,
     frames: list[int] | None,
 ) -> None:
     """Write the cameras with the verdict on them, and say the errors and the verdict.
@@ -117,7 +105,7 @@ def _write_judged(
     judged = verdict_of_cameras(report)
     if frames is not None:
         judged = hold_for(judged, frames)
-    source = provenance("adjust", solver=solver, **judged)
+    source = provenance("adjust", **judged)
     (content,) = format_rig(group.rig, "mocap-calib", source).files.values()
     outputs.write_text(output, [content])
     reporter.say("")

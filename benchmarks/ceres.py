@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 
-from mocap_calib.adjust.problem import Problem, choose_problem, wider_scales
+from mocap_calib.adjust.problem import Problem, choose_problem
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import CORNER_OFFSET, Config
 from mocap_calib.geometry.alignment import with_size_of
@@ -31,13 +31,12 @@ def adjust_by_ceres(
 ) -> CameraRig:
     """Return the rig that minimises the robust reprojection error of the matched detections.
 
-    Takes, keeps and raises what `refine.adjust_once` does. All detections count the
-    same.
+    Takes, keeps and raises what `refine.adjust_once` does. All detections count the same.
     """
     problem = choose_problem(sample, rig, matches, config, all_detections=not already_close)
     model = _build_model(problem)
     if not already_close:
-        for wider in wider_scales(config.adjust, problem.loss_scale):
+        for wider in config.adjust.loss_scales[:-1]:
             _solve(model, loss_scale=wider, tolerance=config.adjust.rough_tolerance)
     _solve(model, loss_scale=problem.loss_scale, tolerance=config.adjust.tolerance)
     poses = [model.image(view + 1).cam_from_world() for view in range(len(rig.cameras))]
