@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.config import VERDICT_LIMITS_DEG
 from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement, round_sigma
 from mocap_calib.pairs.solve import all_pairs
 from mocap_calib.recording.epochs import own_name
@@ -149,9 +150,9 @@ def _describe_check(check: Check) -> dict[str, Any]:
     """Return what a check found, and whether that is what sound recordings show."""
     return {
         "name": check.name,
-        "value": finite_or_none(check.value),
-        "limit": check.limit,
-        "error_deg": check.error_deg,
+        "value": finite_or_none(check.error_deg),
+        "limit": VERDICT_LIMITS_DEG[0],
+        "error_deg": finite_or_none(check.error_deg) or 0.0,
         "camera": check.camera or None,
         "passed": check.passed,
     }

@@ -420,20 +420,18 @@ class Uncertainty(Record):
 class Check:
     """A measure of a rig that is independent of its covariance; docs/how-good.md has them all.
 
-    value: NaN = nothing to measure. limit: the value that stands for an error of 1 degree. camera:
-    the one with this value, "" = all. error_deg: rotation error that the value stands for.
+    error_deg: rotation error in degrees that it stands for, NaN = nothing to measure. camera: the
+    one with this value, "" = all.
     """
 
     name: str
-    value: float
-    limit: float
+    error_deg: float = np.nan
     camera: str = ""
-    error_deg: float = 0.0
 
     @property
     def passed(self) -> bool:
-        """Whether the value stands for less than 1 degree."""
-        return not self.value > self.limit
+        """Whether it stands for no more than what a well determined rig may have."""
+        return not self.error_deg > VERDICT_LIMITS_DEG[0]
 
 
 @dataclass(frozen=True)

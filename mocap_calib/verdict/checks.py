@@ -1,56 +1,212 @@
-"""Checks of a rig that are independent of its covariance: one table, and how each is measured.
+"""Checks of a rig that are independent of its covariance: how each is measured, and one table.
 
 A covariance knows what chance does to a rig under a model that is right. Whether the model is right
-(one clock, these lenses, cameras that do not move, rigid bodies, right identities) shows in the
-residuals. Each check stands for a rotation error: none up to the largest value of sound recordings,
-1 degree at the limit, and more in proportion beyond.
+(one clock, these lenses, cameras that do not move, right identities) shows in the
+residuals. Each check is the rotation error in degrees that a discrepancy means: an angle where the
+discrepancy is one, else `OPEN_DEG` times the share of the evidence that contradicts the rig. So no
+check needs a limit of its own.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.config import Config
+from mocap_calib.compute.medians import known_medians
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config
+from mocap_calib.geometry.epipolar import plane_errors
+from mocap_calib.geometry.graphs import spanning_tree
+from mocap_calib.geometry.lens import unproject_views
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Check, GroupResult
+from mocap_calib.rig.graph import best_scores
+from mocap_calib.rig.labels import matched_share
+from mocap_calib.rig.tracks import labelled_frames
 from mocap_calib.types import Floats
-from mocap_calib.verdict.explained import Leftover
-from mocap_calib.verdict.measures import (
-    Look,
-    broken_loops,
-    clocks,
-    convergence,
-    errors_of_body,
-    few_frames,
-    flatness,
-    held_out,
-    lack_of_score,
-    over_time,
-    radial_slopes,
-    steadiest_bones,
-    times_others,
-    unmatched,
-    weakest_bridge,
-)
+from mocap_calib.verdict.explained import Leftover, focal_lengths, report_frames
 
-_MOST_DEG = 5.0  # one check alone makes a rig weak, not more
+# of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras
+# with estimated intrinsics are off by 2 to 5 deg in five of eight recordings, by 21 to 40 in three
+OPEN_DEG = 5.0
+_PAIRS = 30  # of views, that are compared with planes
+_MATCHES_OF_A_PAIR = 1000
+_STRETCH_KEYPOINTS = 30  # of a camera, that a stretch of time has at least
+
+
+@dataclass(frozen=True)
+class Look:
+    """A group of cameras, and the residuals of its points.
+
+    error: `[view, frame, individual, keypoint]` distances from the points in degrees.
+    """
+
+    group: GroupResult
+    left: Leftover
+    error: Floats
+    config: Config
+
+    @classmethod
+    def at(cls, group: GroupResult, config: Config) -> "Look":
+        """Return what the checks of a group are made of."""
+        left = Leftover.of(group)
+        return cls(group, left, np.rad2deg(left.distance / focal_lengths(group)), config)
+
+
+# Of the whole rig
+
+
+def convergence(look: Look) -> float:
+    """Return the error of a rig whose adjusting and matching did not converge."""
+    return 0.0 if look.group.adjusted.converged else OPEN_DEG
+
+
+def few_frames(look: Look) -> float:
+    """Return the error that what all joints have in common in each frame may make.
+
+    No residual shows it; of the frames in which bodies are matched each has an equal share.
+    """
+    return OPEN_DEG / max(len(labelled_frames(look.group.matches)), 1)
+
+
+def held_out(look: Look) -> float:
+    """Return by how much held-out errors exceed those in sample, in the worst fifth of all frames.
+
+    Errors of the frames in a rig that was made without them, whose variances add.
+    """
+    ratio = look.group.uncertainty.held_out
+    return float(np.sqrt(max(ratio**2 - 1, 0.0)) * np.nanmedian(look.error)) if ratio else np.nan
+
+
+def flatness(look: Look) -> float:
+    """Return the error of a rig whose points may all lie in one plane.
+
+    The share is that of the variance of the points in the one that they would have in a plane, the
+    median of pairs of views: a homography maps the images of a plane to each other, wherever
+    a rig has the cameras. NaN where no two views have enough in common.
+    """
+    views = len(look.group.rig.cameras)
+    pixels = look.left.pixels.reshape(views, 2, -1).swapaxes(1, 2)
+    rays = unproject_views(look.group.rig.cameras, pixels, by_component=True)
+    error = np.deg2rad(look.error.reshape(views, -1))
+    found = []
+    for a, b in evenly_spaced(np.array(list(combinations(range(views), 2))), _PAIRS).tolist():
+        both = np.flatnonzero(np.isfinite(error[[a, b]]).all(0))
+        both = evenly_spaced(both, _MATCHES_OF_A_PAIR)
+        in_plane = plane_errors(*(rays[view][:, both].T for view in (a, b)))
+        if len(in_plane):
+            usual = np.hypot(*np.median(error[[a, b]][:, both], axis=1))
+            found.append(float(usual / max(np.median(in_plane), 1e-12)))
+    return OPEN_DEG * min(1.0, float(np.median(found)) ** 2) if found else np.nan
+
+
+def weakest_bridge(look: Look) -> float:
+    """Return the error of a rig whose parts agree less than their cameras do, as of two recordings.
+
+    Of the best pairs that connect all cameras: the share that the worst score lacks of the median
+    of the others. NaN where there are fewer than three cameras.
+    """
+    views = len(look.group.rig.cameras)
+    cost = np.full((views, views), np.inf)
+    for pair in look.group.pairs:
+        cost[pair.a, pair.b] = 1 / max(pair.score, 1e-6)
+    used = np.sort(np.minimum(cost, cost.T)[tuple(spanning_tree(cost).T)])
+    return OPEN_DEG * float(1 - np.median(used[:-1]) / used[-1]) ** 2 if len(used) >= 2 else np.nan
+
+
+# Of each camera
+
+
+def lack_of_score(look: Look) -> Floats:
+    """Return the error `[view]` of cameras whose best pair lacks a share of a score not weak."""
+    score = best_scores(look.group.pairs, len(look.group.rig.cameras))
+    return OPEN_DEG * np.clip(1 - score / look.config.averaging.weak_score, 0.0, 1.0)
+
+
+def clocks(look: Look) -> Floats:
+    """Return by how much `[view]` subjects move while a clock is off that was not corrected.
+
+    Less five standard deviations, as these are small where there are few frames.
+    """
+    offsets, frames = look.group.time_offsets, report_frames(look.group.recording)
+    certain = np.maximum(np.abs(offsets.tau) - 5 * offsets.sigma, 0.0)
+    left = np.where(offsets.used, 0.0, certain)
+    moves = np.linalg.norm(np.diff(look.left.pixels, axis=2), axis=1)  # [view, frame, ...]
+    speed = moves / np.diff(frames)[:, None, None] / focal_lengths(look.group)
+    return left * np.rad2deg(_medians(speed))
+
+
+def lenses(look: Look) -> Floats:
+    """Return by how much `[view]` errors grow towards the edge of the image, where certain.
+
+    Along the cube of the radius, as a wrong lens makes them; less two standard deviations, from how
+    the sums of stretches of time and of joints scatter.
+    """
+    found = np.full(len(look.group.rig.cameras), np.nan)
+    blocks = look.config.uncertainty.time_blocks
+    for view, camera in enumerate(look.group.rig.cameras):
+        distance = look.left.distance[view]
+        if not np.isfinite(distance).any():
+            continue
+        arm = (look.left.pixels[view] - camera.matrix[:2, 2, None, None, None]) / camera.focal
+        square = (arm**2).sum(0)
+        weight = 1 / (1 + (distance / (2 * np.nanmedian(distance))) ** 2)
+        pull = weight * (look.left.gap[view] / camera.focal * arm).sum(0) * square
+        in_time = [np.nansum(part) for part in np.array_split(pull, blocks)]
+        of_joint = np.nansum(pull, axis=(0, 1))
+        scatter = np.sqrt(np.square(in_time).sum() + np.square(of_joint).sum())
+        slope = max(0.0, abs(np.nansum(pull)) - 2 * scatter) / np.nansum(weight * square**3)
+        found[view] = np.rad2deg(slope * np.nanmax(square) ** 1.5)
+    return found
+
+
+def over_time(look: Look) -> Floats:
+    """Return by how much `[view]` detections are beside the points, all to one side, for a while.
+
+    As of a camera that was moved: what a tenth of all stretches of time exceed. A shorter time is
+    that of false detections.
+    """
+    gap = np.rad2deg(look.left.gap / focal_lengths(look.group)[:, None])
+    stretches = np.array_split(gap, look.config.uncertainty.time_blocks, axis=2)
+    counts = np.stack([np.isfinite(part[:, 0]).sum((1, 2, 3)) for part in stretches])
+    # a stretch in which a camera matches little does not show where it is
+    enough = counts >= np.maximum(_STRETCH_KEYPOINTS, np.median(counts, axis=0) / 2)
+    sides = np.array([[_medians(part[:, axis]) for axis in range(2)] for part in stretches])
+    shift = np.where(enough, np.linalg.norm(sides, axis=1), np.nan)  # [stretch, view]
+    some = enough.any(0)
+    return np.where(some, np.nanquantile(np.where(some, shift, 0.0), 0.9, axis=0), np.nan)
+
+
+def errors(look: Look) -> Floats:
+    """Return the median error `[view]` of the detections."""
+    return _medians(look.error)
+
+
+def _medians(values: Floats) -> Floats:
+    """Return the medians `[view]` of values `[view, ...]`, NaN where there are none."""
+    flat = values.reshape(len(values), -1)
+    found = np.full(len(flat), np.nan)
+    some = np.isfinite(flat).any(1)
+    found[some] = known_medians(flat[some])
+    return found
+
+
+def unmatched(look: Look) -> Floats:
+    """Return the error `[view]` of cameras whose detections stay unassigned, by their share."""
+    return OPEN_DEG * (1 - matched_share(look.group.recording, look.group.matches)) ** 2
 
 
 @dataclass(frozen=True)
 class CheckKind:
-    """What a check measures, and what its value means.
+    """What a check measures, and what it means.
 
-    text: what is measured. sound: smallest and largest value of sound recordings
-        (docs/how-good.md). limit: the value that stands for an error of 1 degree; above it the
-        check fails.
-    meaning, remedy: of a check that fails; `{value}` and `{camera}` are filled in.
-    measure: returns the value, or `[view]` values, of which the largest counts.
+    text: what is measured. meaning, remedy: of a check that is a reason for the verdict;
+        `{value}`, in degrees, and `{camera}` are filled in.
+    measure: returns the error in degrees, or `[view]` errors, of which the largest counts.
     """
 
     name: str
     text: str
-    sound: tuple[float, float]
-    limit: float
     meaning: str
     remedy: str
     measure: Callable[[Look], float | Floats]
@@ -59,21 +215,16 @@ class CheckKind:
         """Return the check of a group: of the camera with the largest value."""
         values = np.atleast_1d(self.measure(look))
         if not np.isfinite(values).any():
-            return Check(self.name, np.nan, self.limit)
+            return Check(self.name)
         worst = int(np.nanargmax(values))
         camera = look.group.rig.names[worst] if len(values) > 1 else ""
-        value = float(values[worst])
-        return Check(self.name, value, self.limit, camera, self.error_of(value))
-
-    def error_of(self, value: float) -> float:
-        """Return the rotation error in degrees that a value stands for."""
-        beyond = (value - self.sound[1]) / (self.limit - self.sound[1])
-        return float(np.clip(beyond, 0.0, _MOST_DEG))
+        return Check(self.name, float(values[worst]), camera)
 
 
 def describe_checks() -> dict[str, dict[str, object]]:
     """Return what each check measures and the values of sound recordings, as JSON has them."""
-    return {kind.name: {"text": kind.text, "sound": list(kind.sound)} for kind in CHECKS}
+    sound = [0.0, VERDICT_LIMITS_DEG[0] / 2]  # more is a reason for the verdict
+    return {kind.name: {"text": kind.text, "sound": sound} for kind in CHECKS}
 
 
 def kind_of(check: Check) -> CheckKind:
@@ -83,145 +234,95 @@ def kind_of(check: Check) -> CheckKind:
 
 def check_rig(group: GroupResult, config: Config) -> tuple[Check, ...]:
     """Return all checks of the rig of a group."""
-    look = Look(group, Leftover.of(group), config)
+    look = Look.at(group, config)
     return tuple(kind.check(look) for kind in CHECKS)
 
 
 CHECKS = (
     CheckKind(
         "convergence",
-        "whether adjusting and matching converged",
-        sound=(0.0, 0.0),
-        limit=0.5,
-        meaning="adjusting and matching did not converge",
-        remedy="look for a camera with large errors, and record longer",
-        measure=convergence,
+        "whether adjusting and matching converged; 5 where not",
+        "adjusting and matching did not converge",
+        "look for a camera with large errors, and record longer",
+        convergence,
     ),
     CheckKind(
         "moments",
-        "10 over the number of frames in which bodies are matched",
-        sound=(0.01, 0.5),
-        limit=1.25,
-        meaning="bodies are matched in few frames: errors that all joints of a frame share do not "
-        "show",
-        remedy="record longer",
-        measure=few_frames,
+        "5 over the number of frames in which bodies are matched",
+        "bodies are matched in few frames: errors that all joints of a frame share do not show",
+        "record longer",
+        few_frames,
     ),
     CheckKind(
         "held-out frames",
-        "median error of a fifth of the recording in a rig made without it, in errors of the same "
-        "frames in the rig of all; of the worst fifth",
-        sound=(1.0, 1.07),
-        limit=1.18,
-        meaning="errors are {value:.2f} times as large in a fifth of the recording that the rig "
-        "was made without",
-        remedy="check that the cameras were not moved, and record longer",
-        measure=held_out,
+        "by how much errors of a fifth of the recording are larger in a rig made without it; of "
+        "the worst fifth",
+        "errors are {value:.1f} deg larger in a fifth of the recording that the rig was made "
+        "without",
+        "check that the cameras were not moved, and record longer",
+        held_out,
     ),
     CheckKind(
         "flat",
-        "median error of points in those that they would have if all lay in one plane, as several "
-        "rigs fit these",
-        sound=(0.01, 0.15),
-        limit=0.45,
-        meaning="all detections may lie in one plane: other rigs would fit as well",
-        remedy="let the subject come closer, rise, jump or tilt",
-        measure=flatness,
-    ),
-    CheckKind(
-        "bones",
-        "share by which the steadiest quarter of all distances on a body vary over time",
-        sound=(0.01, 0.26),
-        limit=0.3,
-        meaning="distances on bodies vary by {value:.0%} at least",
-        remedy="check the keypoints and the identities in the 3D poses",
-        measure=steadiest_bones,
-    ),
-    CheckKind(
-        "loops",
-        "share of the pairs of cameras that contradict the rig",
-        sound=(0.0, 0.53),
-        limit=0.75,
-        meaning="{value:.0%} of the pairs of cameras contradict the rig",
-        remedy="check the keypoints, and that all files are of one time",
-        measure=broken_loops,
+        "5 times the share of the variance that would be left if all points lay in one plane, as "
+        "several rigs fit these",
+        "all detections may lie in one plane: other rigs would fit as well",
+        "let the subject come closer, rise, jump or tilt",
+        flatness,
     ),
     CheckKind(
         "bridge",
-        "of the best pairs that connect all cameras: by how many times the worst score is below "
-        "the median of the others",
-        sound=(1.0, 1.2),
-        limit=1.45,
-        meaning="two groups of cameras agree less with each other than within themselves "
-        "({value:.1f} x)",
-        remedy="check that all files are of one recording; or let the subject cross where both "
-        "groups look",
-        measure=weakest_bridge,
+        "of the best pairs that connect all cameras: 5 times the square of the share that the "
+        "worst score lacks of the median of the others",
+        "two groups of cameras agree less with each other than within themselves",
+        "check that all files are of one recording; or let the subject cross where both groups "
+        "look",
+        weakest_bridge,
     ),
     CheckKind(
         "pair score",
-        "what the best pair of a camera lacks of a score of 0.55: agreement of lifted bodies",
-        sound=(-0.4, -0.01),
-        limit=0.02,
-        meaning="{camera}: its bodies do not look like those of any other camera",
-        remedy="check that its file belongs to this recording",
-        measure=lack_of_score,
+        "5 times the share that the best pair of a camera lacks of a score of 0.55: agreement of "
+        "lifted bodies",
+        "{camera}: its bodies do not look like those of any other camera",
+        "check that its file belongs to this recording",
+        lack_of_score,
     ),
     CheckKind(
         "clock",
-        "frames by which a clock is certainly off that was not corrected",
-        sound=(0.0, 0.0),
-        limit=0.5,
-        meaning="{camera}: its clock seems to be off by {value:.2f} frames",
-        remedy="trigger the cameras together, or record at a higher rate",
-        measure=clocks,
+        "by how much subjects move while a clock is certainly off that was not corrected",
+        "{camera}: its clock seems to be off, while subjects move by {value:.1f} deg",
+        "trigger the cameras together, or record at a higher rate",
+        clocks,
     ),
     CheckKind(
         "lens",
-        "slope of errors along the cube of the radius, in standard deviations",
-        sound=(0.3, 2.1),
-        limit=4.5,
-        meaning="{camera}: errors grow towards the edge of the image ({value:.1f} standard "
-        "deviations)",
-        remedy="its lens may be another than given: calibrate it, or run again with --refine "
-        "focal+k1",
-        measure=radial_slopes,
+        "by how much errors certainly grow towards the edge of the image, along the cube of the "
+        "radius",
+        "{camera}: errors grow by {value:.1f} deg towards the edge of the image",
+        "its lens may be another than given: calibrate it, or run again with --refine focal+k1",
+        lenses,
     ),
     CheckKind(
         "over time",
-        "largest error of a stretch of time, in median ones",
-        sound=(1.1, 2.3),
-        limit=3.0,
-        meaning="{camera}: errors are {value:.1f} times as large for a part of the recording",
-        remedy="check whether it was moved or out of step for a part of the recording",
-        measure=over_time,
+        "by how much detections are beside the points, all to one side, in a tenth of all "
+        "stretches of time",
+        "{camera}: detections are {value:.1f} deg to one side for a part of the recording",
+        "check whether it was moved or out of step for a part of the recording",
+        over_time,
     ),
     CheckKind(
         "unmatched",
-        "share of the detections of a camera that stay unassigned",
-        sound=(0.0, 0.13),
-        limit=0.3,
-        meaning="{camera}: {value:.0%} of its detections stay unassigned",
-        remedy="check its keypoints: false detections, or people whom no other camera sees",
-        measure=unmatched,
+        "5 times the square of the share of the detections of a camera that stay unassigned",
+        "{camera}: many of its detections stay unassigned",
+        "check its keypoints: false detections, or people whom no other camera sees",
+        unmatched,
     ),
     CheckKind(
         "errors",
-        "median error of a keypoint in sizes of the body in the image",
-        sound=(0.02, 0.06),
-        limit=0.09,
-        meaning="{camera}: errors are {value:.0%} of the size of a body",
-        remedy="check its keypoints, its clock and its intrinsics",
-        measure=errors_of_body,
-    ),
-    CheckKind(
-        "inconsistent",
-        "median error of a camera in those of the other cameras",
-        sound=(1.0, 1.5),
-        limit=2.5,
-        meaning="{camera}: errors are {value:.1f} times those of the other cameras",
-        remedy="check whether it is out of step (--frame-offset), was moved, or has other "
-        "intrinsics",
-        measure=times_others,
+        "median error of a keypoint of a camera",
+        "{camera}: the median error of its keypoints is {value:.1f} deg",
+        "check its keypoints, its clock (--frame-offset), its intrinsics, and that it was not "
+        "moved",
+        errors,
     ),
 )

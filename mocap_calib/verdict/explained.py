@@ -32,8 +32,9 @@ class Leftover:
     @classmethod
     def of(cls, group: GroupResult) -> "Leftover":
         """Return that of the matched keypoints and the triangulated points of a group."""
-        frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
-        return cls.of_points(group.recording, group.matches, group.rig, group.poses.raw, frames)
+        recording = group.recording
+        frames = report_frames(recording)
+        return cls.of_points(recording, group.matches, group.rig, group.poses.raw, frames)
 
     @classmethod
     def of_points(
@@ -49,6 +50,16 @@ class Leftover:
         seen_at = project_views(rig, mapped.take(points, frames).reshape(-1, 3).T)
         gap = seen_at.reshape(len(seen), 2, *bodies) - pixels
         return cls(pixels=pixels, gap=gap, distance=np.linalg.norm(gap, axis=1))
+
+
+def report_frames(recording: Recording) -> Ints:
+    """Return the frames (indices) that are looked at: evenly spread, and not too many."""
+    return evenly_spaced(np.arange(len(recording.frames)), REPORT_FRAMES)
+
+
+def focal_lengths(group: GroupResult) -> Floats:
+    """Return the focal lengths in pixels, `[view, 1, 1, 1]`."""
+    return np.array([camera.focal for camera in group.rig.cameras])[:, None, None, None]
 
 
 @dataclass(frozen=True)
@@ -73,8 +84,7 @@ def usual_distance(result: CalibrationResult, recording: Recording) -> Yardstick
     recording: of all cameras.
     """
     group = result.groups[0]
-    focal = np.array([camera.focal for camera in group.rig.cameras])
-    angle = distances_from_points(group) / focal[:, None, None, None]
+    angle = distances_from_points(group) / focal_lengths(group)
     return Yardstick(
         angle=float(np.median(angle[np.isfinite(angle)])),
         focal={camera.name: camera.focal for camera in recording.cameras},
@@ -90,8 +100,7 @@ def explained_share(result: CalibrationResult, recording: Recording, yardstick: 
     recording: with all that was detected, in the frames of the groups.
     """
     group = result.groups[0]
-    frames = evenly_spaced(np.arange(len(recording.frames)), REPORT_FRAMES)
-    detected = int(recording.select(frames=frames).seen.sum())
+    detected = int(recording.select(frames=report_frames(recording)).seen.sum())
     width = np.array([yardstick.width(camera) for camera in group.rig.cameras])
     fit = 1 / (1 + (distances_from_points(group) / width[:, None, None, None]) ** 2)
     return float(np.nansum(fit)) / max(detected, 1)

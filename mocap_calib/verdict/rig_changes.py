@@ -19,8 +19,9 @@ from mocap_calib.geometry.alignment import gauge_of, rig_size
 from mocap_calib.geometry.rotation import angle_between, vector_from_matrix
 from mocap_calib.results import Cause, RigCovariance, Verdict, Verification, VerifiedCamera
 from mocap_calib.types import Bools, CameraRig, Floats, Ints
+from mocap_calib.verdict.checks import OPEN_DEG
 from mocap_calib.verdict.evaluation import lay_over
-from mocap_calib.verdict.verdict import OPEN_DEG, expected_error
+from mocap_calib.verdict.verdict import expected_error
 
 _POSE = 6  # numbers of the pose of a camera
 _GAUGE = 7  # of them, in a whole rig, that a similarity takes away
@@ -34,8 +35,7 @@ class RigChange:
 
     moved: `[view]` cameras that are elsewhere than the others have them.
     turn: `[view]` radians and shift: `[view]` rig sizes by which a camera is elsewhere, if it
-        and the moved ones alone may; turn_sigma and shift_sigma: their RMS errors. Shifts are NaN
-        where a single camera would be left.
+        and the moved ones alone may; turn_sigma and shift_sigma: their RMS errors. NaN = unknown.
     difference: `[view]` radians between the rotations of both rigs, those of the cameras that
         stayed being aligned. It has all that the keypoints leave open.
     disagreement: variance that the cameras in place differ by, in those of their errors.

@@ -16,13 +16,10 @@ from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, Cause, Check, Clocks, Fault, GroupResult, Verdict
 from mocap_calib.rig.tracks import labelled_frames
 from mocap_calib.types import Bools, EstimatedCamera
-from mocap_calib.verdict.checks import kind_of
+from mocap_calib.verdict.checks import OPEN_DEG, kind_of
 from mocap_calib.verdict.uncertainty import with_uncertain_corner
 from mocap_calib.wording import count
 
-# of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras
-# with estimated intrinsics are off by 2 to 5 deg in five of eight recordings, by 21 to 40 in three
-OPEN_DEG = 5.0
 _HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected
 _FRAMES = 300  # that are looked at for a remedy
 _FEW_FRAMES = 30
@@ -125,7 +122,7 @@ def _principal_points(group: GroupResult, config: Config) -> Iterator[Cause]:
 def _of_check(check: Check) -> Cause:
     """Return the cause that a check is, with its meaning in words."""
     kind = kind_of(check)
-    meaning = kind.meaning.format(value=check.value, camera=check.camera)
+    meaning = kind.meaning.format(value=check.error_deg, camera=check.camera)
     return Cause(check.name, check.camera, check.error_deg, meaning, kind.remedy)
 
 

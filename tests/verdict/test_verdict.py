@@ -63,19 +63,6 @@ def test_causes_add_in_squares_for_each_camera(causes, expected):
     assert expected_error(("a", "b@120"), causes) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("kind", CHECKS, ids=lambda kind: kind.name)
-def test_a_check_stands_for_an_error_without_steps(kind):
-    """None where recordings are sound, 1 degree at the limit, and never less for larger values."""
-    assert kind.error_of(kind.sound[1]) == 0
-    assert kind.error_of(kind.limit) == pytest.approx(1)
-    scale = kind.limit - kind.sound[1]
-    values = kind.sound[0] + scale * np.linspace(0, 20, 1001)
-    steps = np.diff([kind.error_of(value) for value in values])
-    assert (steps >= 0).all()
-    assert steps.max() <= 0.0201
-    assert kind.error_of(np.inf) == 5
-
-
 def test_of_each_kind_the_largest_cause_is_a_reason():
     causes = (cause(1.2, "a"), cause(0.9, "b"), cause(0.6, "a", "lens"), cause(0.4, "a", "flat"))
     found = Verdict(1.5, causes)
@@ -85,8 +72,9 @@ def test_of_each_kind_the_largest_cause_is_a_reason():
 
 
 def test_a_check_without_a_value_does_not_fail():
-    assert Check("held-out frames", np.nan, 1.15).passed
-    assert not Check("held-out frames", 1.2, 1.15).passed
+    assert Check("held-out frames").passed
+    assert Check("held-out frames", 0.9).passed
+    assert not Check("held-out frames", 1.1).passed
 
 
 def values(group: GroupResult) -> dict[str, Check]:
@@ -97,8 +85,8 @@ def values(group: GroupResult) -> dict[str, Check]:
 def test_each_check_has_a_row_on_the_page():
     page = (Path(__file__).parents[2] / "docs" / "how-good.md").read_text("utf-8")
     table = page.split("## The checks")[1].split("\n## ")[0]
-    rows = re.findall(r"^\| ([\w -]+?) \|.*\| ([-\d.]+) \|$", table, re.MULTILINE)
-    assert rows == [(kind.name, f"{kind.limit:g}") for kind in CHECKS]
+    rows = re.findall(r"^\| ([\w -]+?) \| (.*) \|$", table, re.MULTILINE)
+    assert rows[1:] == [(kind.name, kind.text) for kind in CHECKS]
 
 
 def result_of(group: GroupResult, **fields) -> CalibrationResult:
@@ -112,10 +100,7 @@ def test_a_sound_recording_passes_all_checks():
     group = calibrated()
     checks = values(group)
     assert all(check.passed for check in checks.values()), checks
-    assert checks["held-out frames"].value == pytest.approx(1, abs=0.05)
-    assert checks["flat"].value < 0.1
-    assert checks["errors"].value < 0.05
-    assert checks["bones"].value < 0.15
+    assert max(check.error_deg for check in checks.values()) < 0.5, checks
     (judged,) = judge(result_of(group)).groups
     assert judged.verdict == "well determined"
     assert judged.reasons == ()
@@ -178,13 +163,9 @@ def test_images_tell_who_stands_still():
 
 @pytest.mark.slow
 def test_checks_see_what_is_wrong():
-    """Half of the poses stretched, a camera blind to who is who, errors in one stretch."""
+    """A camera blind to identities, errors in one stretch, a lens, points in a plane."""
     group = calibrated()
     frames = len(group.recording.frames)
-    stretched = group.poses.raw.copy()
-    stretched[::2] *= 2.0
-    poses = replace(group.poses, raw=stretched)
-    assert not values(replace(group, poses=poses))["bones"].passed
     labels = group.matches.labels.copy()
     labels[2, : frames // 2] = -1
     found = values(replace(group, matches=replace(group.matches, labels=labels)))["unmatched"]
@@ -194,7 +175,8 @@ def test_checks_see_what_is_wrong():
     positions[1, : frames // 5] += 40.0
     shaken = replace(group, recording=replace(group.recording, positions=positions))
     found = values(shaken)["over time"]
-    assert found.error_deg > 0
+    turn = np.rad2deg(40.0 / group.rig.cameras[1].focal)
+    assert turn < found.error_deg < 2 * turn  # along both axes of the image
     assert found.camera == group.rig.names[1]
 
 
