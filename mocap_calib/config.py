@@ -729,7 +729,6 @@ class KinematicsConfig:
     contact_height: float = 0.08
     contact_speed: float = 0.8  # legs per second
     rest_quantile: float = 0.1  # of a joint's heights: what it has on a foot that stands
-    most_rest_height: float = 0.15  # an ankle's is 0.1; more is a body that never stands
     window: float = 0.05  # seconds before and behind, in which heights and speeds are averaged
 
 

@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import pack_floats
 from mocap_calib.html_report.frames import quantiles, split_evenly
 from mocap_calib.html_report.source import ReportSource
 from mocap_calib.kinematics.definitions import define
-from mocap_calib.kinematics.motion import frame_velocity, mean_known
+from mocap_calib.kinematics.measure import frame_velocity
 from mocap_calib.recording.joints import choose_skeleton
 from mocap_calib.recording.sampling import usual_step
 from mocap_calib.results import Poses3D
@@ -90,4 +91,4 @@ def _speeds(source: ReportSource, points: Floats, frames: Ints) -> Floats:
         else own
     )
     rate = source.fps if np.isfinite(source.fps) else 1.0
-    return rate * np.linalg.norm(mean_known(velocity, axis=3), axis=-1)
+    return rate * np.linalg.norm(mean_of_known(velocity, 3), axis=-1)

@@ -1,14 +1,14 @@
-"""Bone lengths, joint angles, speeds and contacts of 3D poses."""
+"""Bone lengths, joint angles, speeds and foot contacts of 3D poses."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.config import KinematicsConfig
+from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.geometry.rotation import direction_angle
-from mocap_calib.kinematics.contacts import find_contacts, leg_lengths
 from mocap_calib.kinematics.definitions import Definitions, define
-from mocap_calib.kinematics.motion import average_around, frame_velocity, mean_known
 from mocap_calib.recording.joints import choose_skeleton
 from mocap_calib.records import Record
 from mocap_calib.results import Poses3D
@@ -76,7 +76,7 @@ def measure(
         },
         speeds=_speeds(names, velocity, definitions.trunk),
         contacts=contacts,
-        notes=(f"contacts: not determined: {reason}",) if reason else (),
+        notes=(f"foot contacts skipped: {reason}",) if reason else (),
     )
 
 
@@ -90,8 +90,8 @@ def bone_lengths(
     pairs = np.array(edges, dtype=np.int64).reshape(-1, 2)
     lengths = np.linalg.norm(positions[:, :, pairs[:, 0]] - positions[:, :, pairs[:, 1]], axis=-1)
     frames = np.isfinite(lengths).sum(0)
-    mean = mean_known(lengths)
-    square = mean_known((lengths - mean) ** 2)
+    mean = mean_of_known(lengths, 0)
+    square = mean_of_known((lengths - mean) ** 2, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         deviation = np.sqrt(np.where(frames > 1, square * frames / (frames - 1), np.nan))
     return mean, deviation, frames
@@ -114,7 +114,7 @@ def _speeds(names: tuple[str, ...], velocity: Floats, trunk: tuple[int, ...]) ->
     velocities does not jump where a joint comes or goes, as the mean of positions does.
     """
     own = list(trunk) or list(range(len(names)))
-    body = np.linalg.norm(mean_known(velocity[:, :, own], axis=2), axis=-1)
+    body = np.linalg.norm(mean_of_known(velocity[:, :, own], 2), axis=-1)
     each = np.linalg.norm(velocity, axis=-1)
     return {BODY: body} | {name: each[:, :, k] for k, name in enumerate(names) if name != BODY}
 
@@ -134,7 +134,7 @@ def _contacts(
     if not (np.isfinite(world.up).all() and np.isfinite(world.floor).all()):
         return {}, "the poses do not say where the floor is"
     if fps is None:
-        return {}, "nobody says how many frames a second has; say it with --fps"
+        return {}, "the frame rate is unknown (use --fps)"
     if not definitions.feet:
         return {}, "the keypoints have no feet"
     if not definitions.legs:
@@ -156,3 +156,82 @@ def _contacts(
         any_ = np.where(known, contacts, 0.0).max(-1)
         found[name] = np.where(known.any(-1), any_, np.nan)
     return found, ""
+
+
+def leg_lengths(positions: Floats, legs: Sequence[Sequence[int]]) -> Floats:
+    """Return the length `[individual]` of legs, the mean of both; NaN = not known.
+
+    positions: `[frame, individual, keypoint, 3]`. legs: chains of keypoints from the hip down.
+    """
+    lengths = np.full((len(legs), positions.shape[1]), np.nan)
+    for k, chain in enumerate(legs):
+        bones = np.linalg.norm(np.diff(positions[:, :, list(chain)], axis=2), axis=-1)
+        lengths[k] = quantile_over_frames(bones, 0.5).sum(-1)
+    return mean_of_known(lengths, 0)
+
+
+def find_contacts(height: Floats, speed: Floats, leg: Floats, config: KinematicsConfig) -> Floats:
+    """Return 1 where a point stands on the floor, 0 where it does not, NaN = not known.
+
+    A joint lies above the sole, so heights count from the lowest that it usually has, as far as
+    that is near the floor.
+
+    height: `[frame, individual, point]` above the floor. speed: the same, per second. leg:
+        `[individual]` length of a leg.
+    """
+    length = leg[:, None]
+    rest = quantile_over_frames(height, config.rest_quantile)
+    most = 2 * config.contact_height * length  # an ankle's is 0.1; more is a body that never stands
+    rest = np.clip(rest, -most, most)
+    with np.errstate(invalid="ignore"):
+        low = height - rest < config.contact_height * length
+        slow = speed < config.contact_speed * length
+    known = np.isfinite(height) & np.isfinite(speed) & np.isfinite(length)
+    return np.where(known, low & slow, np.nan)
+
+
+def frame_velocity(frames: Ints, positions: Floats) -> Floats:
+    """Return the velocities `[frame, ..., 3]` of positions `[frame, ..., 3]`, per frame.
+
+    The mean of the velocities to the frame before and to the one behind (the central difference),
+    the one that there is at the ends of a track, NaN where there is neither. Frames follow each
+    other where their numbers differ by the step that most do: a track does not go on across a gap.
+
+    frames: `[frame]` numbers that rise.
+    """
+    velocity = np.full(positions.shape, np.nan)
+    steps = np.diff(frames)
+    if not len(steps):
+        return velocity
+    shape = (-1, *[1] * (positions.ndim - 1))
+    usual = float(np.median(steps))
+    apart = steps.reshape(shape).astype(np.float64)
+    between = np.where(apart <= usual, np.diff(positions, axis=0) / apart, np.nan)
+    none = np.full((1, *positions.shape[1:]), np.nan)
+    both = np.stack([np.concatenate([none, between]), np.concatenate([between, none])])
+    return mean_of_known(both, 0)
+
+
+def average_around(frames: Ints, values: Floats, reach: int) -> Floats:
+    """Return the means of values `[frame, ...]` over the frames up to `reach` numbers away.
+
+    NaN stays where a value itself is missing.
+    """
+    total, count = np.zeros(values.shape), np.zeros(values.shape)
+    known = np.isfinite(values)
+    filled = np.where(known, values, 0.0)
+    for shift in range(-min(reach, len(frames) - 1), min(reach, len(frames) - 1) + 1):
+        here = slice(max(0, -shift), len(frames) - max(0, shift))
+        there = slice(max(0, shift), len(frames) - max(0, -shift))
+        near = np.abs(frames[there] - frames[here]) <= reach
+        total[here][near] += filled[there][near]
+        count[here][near] += known[there][near]
+    return np.where(known, total / np.maximum(count, 1), np.nan)
+
+
+def quantile_over_frames(values: Floats, share: float) -> Floats:
+    """Return a quantile `[...]` of the values `[frame, ...]` that are not NaN; NaN without any."""
+    ordered = np.sort(np.concatenate([values, np.full((1, *values.shape[1:]), np.nan)]), axis=0)
+    last = np.maximum(np.isfinite(values).sum(0) - 1, 0)  # NaN comes last
+    rows = np.rint(share * last).astype(np.int64)
+    return np.take_along_axis(ordered, rows[None], axis=0)[0]

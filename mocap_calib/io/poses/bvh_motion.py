@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.geometry.rotation import nearest_rotation, turn_between
 from mocap_calib.io.poses.common import PoseFile, known_edges
 from mocap_calib.kinematics.measure import bone_lengths
-from mocap_calib.kinematics.motion import mean_known
 from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.records import Record
 from mocap_calib.types import Bools, Floats, Ints
@@ -169,8 +169,8 @@ def _fit_rest_pose(own: Floats) -> tuple[Floats, Floats]:
         body = _hold(nearest_rotation(products), usable, first=True)
         turned = np.einsum("fba,fjb->fja", body, own)
         turned = np.where(usable[:, None, None], turned, np.nan)
-        mean = mean_known(turned)
-        spread = mean_known(((turned - mean) ** 2).sum(-1))
+        mean = mean_of_known(turned, 0)
+        spread = mean_of_known(((turned - mean) ** 2).sum(-1), 0)
         size = np.nanmean((mean**2).sum(-1)) if np.isfinite(mean).any() else 1.0
         rest = np.nan_to_num(mean)
         weight = np.nan_to_num(1 / (spread + max(_LEAST_SPREAD**2 * size, 1e-300)))
