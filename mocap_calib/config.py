@@ -734,56 +734,35 @@ class KinematicsConfig:
 
 @dataclass(frozen=True)
 class FloorConfig:
-    """How the floor is found that bodies stand on. Lengths in sizes of the body (see `world.body`).
+    """How the floor below bodies is estimated. Lengths in body sizes (`geometry.body_size`).
 
     Measured on 15 recordings against the references' axes: people who walk 0.6 to 1.5 deg, which
     the references' own ankles are off by too (0.4 to 1.7); dogs 0.4, mice 0.5.
 
-    quantile: of the lowest foot's height; reach: beyond it nothing is on the floor; kink: within
-        it the quantile's loss is smooth. steps: of reweighting.
-    height_sigma: of the height of feet in one place, twice that of animals and of who does not
-        stand (of three who sit the plane is 4 to 6 deg off); cell: the side of a place.
-    straight: share of its length that a leg which stands has (walkers 0.97, who sits 0.7);
-    least_standing: share of bodies who stand, for their axis to count as that of standing ones.
-    stand_sigma, crouch_sigma: of the axis in radians, of people on straight legs and of all other
+    quantile: of the lowest foot's height. near: feet this far from the plane are not on the floor,
+        and feet this near each other are in one place.
+    height_sigma: of the height of feet in one place, twice that of animals and of people who do
+        not stand (of three who sit the plane is 4 to 6 deg off).
+    straight: share of its length that a leg which stands has (walkers 0.97, seated people 0.7).
+    stand_sigma: of the axis of people on straight legs, in radians; four times that of all other
         bodies. Measured: 0.9 to 3.9 deg; 14 deg of people who sit, 3 to 15 deg of animals.
-    up_sigma: of each of two directions, in radians, that stays however much was seen.
-    least_feet, least_seen: bodies, and share of the bodies, with feet (0.2 where feet are hidden,
-        0.6 and more else).
-    least_share: of feet that are within reach. most_spread: of their heights (up to 0.05 on floors;
-        0.08 and more of simulated rats that rear, 0.13 of a cheetah on a slope). most_lean: of the
-        bodies. most_up_sigma: for a floor.
-    level_cameras, level_roll, level_spread: how many cameras agree how well on what is level, and
-        how differently they look; most_against_cameras: up may lean against it (0.7 to 3 deg).
-    ankle_height, ankle_sigma: of ankles over the sole, in lengths of the leg; leg_of_size: of it.
-    paw_sigma: of paws over the floor.
+    up_sigma: in radians, of each of two directions, however many feet were seen.
+    most_spread: of the feet's heights (up to 0.05 on floors; 0.08 and more of simulated rats that
+        rear, 0.13 of a cheetah on a slope). most_up_sigma: in radians.
+    ankle_height: of ankles over the sole, in lengths of the leg. sole_sigma: of a sole, or of a
+        paw, over the floor.
     """
 
     quantile: float = 0.25
-    reach: float = 0.3
-    kink: float = 0.01
-    steps: int = 30
+    near: float = 0.5
     height_sigma: float = 0.06
-    cell: float = 0.5
     straight: float = 0.93
-    least_standing: float = 0.2
     stand_sigma: float = 0.06
-    crouch_sigma: float = 0.25
     up_sigma: float = 0.01
-    least_feet: int = 10
-    least_seen: float = 0.3
-    least_share: float = 0.7
     most_spread: float = 0.07
-    most_lean: float = 0.35
     most_up_sigma: float = 0.09
-    level_cameras: int = 3
-    level_roll: float = 0.09
-    level_spread: float = 0.26
-    most_against_cameras: float = 0.35
     ankle_height: float = 0.12
-    ankle_sigma: float = 0.025
-    leg_of_size: float = 1.85
-    paw_sigma: float = 0.05
+    sole_sigma: float = 0.05
 
 
 CueKind = Literal["height", "length", "camera distance"]
@@ -792,7 +771,7 @@ WORLDS = ("auto", "floor", "first-camera")  # that are asked for by a word; else
 
 @dataclass(frozen=True)
 class ScaleCue:
-    """A length that somebody knows.
+    """A known length.
 
     kind: "height" of an individual who stands, "length" between two joints, "camera distance"
         between two cameras.
@@ -816,7 +795,7 @@ class ScaleCue:
 
 @dataclass(frozen=True)
 class KnownCamera:
-    """Where a camera stands in a world that is known.
+    """The pose of a camera in a known world.
 
     rotation: nine numbers, row by row, and translation: three, of cam_from_world.
     """
@@ -828,7 +807,7 @@ class KnownCamera:
 
 @dataclass(frozen=True)
 class Landmark:
-    """A point whose place is known, as a camera sees it.
+    """A point of known place, as a camera sees it.
 
     position: x, y, z in metres. pixel: u, v; integers are the middles of pixels.
     """
@@ -841,23 +820,20 @@ class Landmark:
 
 @dataclass(frozen=True)
 class CueConfig:
-    """How lengths are measured that somebody knows.
+    """How known lengths are measured.
 
     head_height: of a point of the head over the floor, in statures. Measured against the heads of
         the references: head_top 1.00 to 1.06, eyes 0.94 to 0.98. Beside anatomy (Drillis and
         Contini 1966: eyes at 0.936 statures, the vertex at 1, ankles at 0.039, hips at 0.530):
         from the ankle, 0.12 legs over the sole here, eyes are at 0.891 statures for 0.897, the
         top of the head at 0.971 for 0.961.
-    standing_quantile: of the heights of who stands: walkers bob. least_frames: that somebody
-        stands in, or that a length is seen in.
-    height_sigma: relative, of a stature, and length_sigma: of a length between joints, that stay
-        however often they were seen: detectors place joints beside those of anatomy (bones of
-        people -16 to +12 %, statures -3 to +3 %).
-    blocks: of time, that errors are independent in.
+    tall_quantile: of the heights of a person over frames: walkers bob. least_frames: in which a
+        person stands, or a length is seen.
+    height_sigma, length_sigma: relative, of a stature and of a length between joints, however many
+        frames there are: detectors place joints beside those of anatomy (bones of people -16 to
+        +12 %, statures -3 to +3 %).
     most_residual: in standard deviations, above which cues contradict each other.
-    statures: of people in metres, least and most: others are in another unit. usual_stature: which
-        that unit is told by. tall_quantile: of the distances of head and ankle over frames, that is
-        about a stature of who stands at times; less than least_tall metres is doubted.
+    statures: of people in metres, least and most.
     """
 
     head_height: tuple[tuple[str, float], ...] = (
@@ -868,38 +844,32 @@ class CueConfig:
         ("right_ear", 0.945),
         ("nose", 0.930),
     )
-    standing_quantile: float = 0.75
+    tall_quantile: float = 0.75
     least_frames: int = 5
     height_sigma: float = 0.03
     length_sigma: float = 0.06
-    blocks: int = 20
     most_residual: float = 3.0
     statures: tuple[float, float] = (0.3, 3.0)
-    usual_stature: float = 1.6
-    tall_quantile: float = 0.9
-    least_tall: float = 0.2
 
 
 @dataclass(frozen=True)
 class WorldConfig:
-    """Which coordinates results are in.
+    """The coordinates of results.
 
     axes: one of WORLDS, or the name of a camera. "auto": the floor where it is determined, else
         the first camera.
-    cues: lengths that somebody knows. forward: two joints ("left_hip-nose"); from the first to the
-        second is ahead. "" = as the first camera looks.
-    cameras: where cameras stand in a world that is known, which results are aligned to; unit: of
-        their lengths. landmarks: points of a world that is known, which results are aligned to.
-    least_landmarks: that at least two cameras see. least_extent: of landmarks beside a line, as a
-        share of their extent along it.
-    landmark_sigma: of landmarks as they are measured by hand, as a share of their RMS distance from
-        their middle: 2 cm in a room of 4 m. landmark_pixels: of a landmark in an image.
-    camera_sigma: of cameras in a file, as a share of the rig's size, and camera_turn_sigma: in
-        radians, 1 deg: what calibrations with a board leave.
+    cues: known lengths. forward: two joints ("left_hip-nose"); y points from the first to the
+        second. "" = as the first camera looks.
+    cameras: poses of cameras in a known world, to which results are aligned; unit: of their
+        lengths. landmarks: points of a known world, to which results are aligned.
+    least_extent: of landmarks beside a line, as a share of their extent along it.
+    stated_sigma: of places of landmarks and cameras, as a share of their RMS distance from their
+        middle: 2 cm in a room of 4 m. landmark_pixels: of a landmark in an image. turn_sigma: of
+        cameras, in radians.
     most_misfit: in standard deviations, of these and of the rig, above which a world is refused:
-        reference calibrations have 0.1 to 0.9 (1.5 with 1 deg of noise), landmarks measured to 1 %
-        of their extent up to 1.5, a landmark of five that is wrong by it 7 to 30, exchanged axes
-        and cameras that were made up 10 to 170. Rigs that are not determined had 4 to 5.
+        references of rigs that are usable have 0.03 to 1.4, landmarks measured to 1 % up to 1.5,
+        a landmark of five that is wrong by it 7 to 30, exchanged axes and made-up cameras 10 to
+        170.
     """
 
     axes: str = "auto"
@@ -910,12 +880,10 @@ class WorldConfig:
     landmarks: tuple[Landmark, ...] = ()
     floor: FloorConfig = FloorConfig()
     measure: CueConfig = CueConfig()
-    least_landmarks: int = 3
     least_extent: float = 0.03
-    landmark_sigma: float = 0.01
+    stated_sigma: float = 0.01
     landmark_pixels: float = 2.0
-    camera_sigma: float = 0.02
-    camera_turn_sigma: float = radians(1.0)
+    turn_sigma: float = radians(1.0)
     most_misfit: float = 5.0
 
     @property

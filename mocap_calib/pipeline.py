@@ -48,8 +48,8 @@ from mocap_calib.training.device import on_device
 from mocap_calib.types import CameraRig, Mapper, Progress, Recording, silent
 from mocap_calib.verdict.conclusion import conclude
 from mocap_calib.verdict.verdict import judge
-from mocap_calib.world.asked import check_world
 from mocap_calib.world.place import place_result
+from mocap_calib.world.requested import check_world
 
 
 def calibrate(
@@ -81,9 +81,9 @@ def calibrate(
     Raises DegenerateError where the recording determines no rig. The cameras of a group that it
     does not determine are left out. Raises FormatError where there is no such model, and
     MismatchError where there is no such device, the model knows too few of the joints,
-    intrinsics that nobody knows are not to be estimated, or coordinates and known lengths
-    (`config.world`) are asked for that the recording has no names for: see `world.asked`. What else
-    of them cannot be had, `World.axes_unmet` and `World.scale_unmet` of the rigs say.
+    intrinsics that nobody knows are not to be estimated, or `config.world` names joints, cameras or
+    individuals that the recording lacks: see `world.requested`. Where results do not allow the
+    requested coordinates, `World.axes_unmet` and `World.scale_unmet` of the rigs have the reason.
     """
     check_world(config.world, recording, config.matching.individuals)
     intrinsics = choose_refinement(recording.cameras, config.intrinsics, refine)

@@ -5,7 +5,7 @@ formats stay as they were, and are named.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,13 @@ from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
 from mocap_calib.io.world_fields import world_fields
+from mocap_calib.recording.epochs import own_name
+from mocap_calib.results import RigCovariance
 from mocap_calib.types import ARBITRARY, CameraRig, World
 from mocap_calib.wording import count
-from mocap_calib.world.body import find_joints, keep_triangulated
-from mocap_calib.world.cues import Measurable, Scale, find_scale, scaled_world
-from mocap_calib.world.place import look_for_floor
+from mocap_calib.world.body import find_joints
+from mocap_calib.world.lengths import Scale, find_scale, scaled_world
+from mocap_calib.world.place import measurable
 
 _CAMERAS = "cameras.yaml"
 _POSES = "poses3d.h5"
@@ -72,18 +74,14 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
     cameras, file = load_cameras(folder / _CAMERAS), load_poses(folder / _POSES)
     rig = make_rig(cameras, str(folder / _CAMERAS))
     _refuse_known_unit(folder, rig, file.poses.unit)
-    poses = keep_triangulated(file.poses)
-    joints = find_joints(file.spelt)
     verdict = str(cameras.judgement.get("verdict", ""))
-    sigmas = cameras.judgement.get("centre_sigma_percent", {})
-    floor = look_for_floor(file.poses, joints, rig, verdict, config.floor)
-    on = Measurable(
-        poses, joints, rig, floor, centre_sigma_percent=sigmas, individuals=file.individuals
-    )
-    scale = find_scale(cues, on, config.measure, config.floor)
+    covariance = _covariance_of(rig, cameras.judgement.get("centre_sigma_percent", {}))
+    joints = find_joints(file.spelt)
+    on = measurable(file.poses, joints, rig, covariance, config, verdict=verdict)
+    scale = find_scale(cues, replace(on, individuals=file.individuals), config)
     if scale is None:
         raise MismatchError(
-            "scale: expected a known length, found none; say --height, --length or "
+            "scale: expected a known length, found none; use --height, --length or "
             "--camera-distance"
         )
     with replace_folder(folder) as work:
@@ -107,6 +105,17 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
         left = _scale_report(folder, work, rig, scale)
     world = scaled_world(rig.world.scale(scale.factor), scale)
     return Scaled(world, left)
+
+
+def _covariance_of(rig: CameraRig, percent: Mapping[str, float]) -> RigCovariance:
+    """Return the covariance of centres that are independent and as uncertain in all directions.
+
+    percent: of the size of the rig, by the names of cameras: RMS distance from the true centre.
+    """
+    own = [float(percent.get(own_name(name, rig.names), 0.0)) / 100 for name in rig.names]
+    variance = np.array(own)[:, None] ** 2 / 3 * np.array([0, 0, 0, 1, 1, 1])
+    matrix = np.diag(variance.ravel()).reshape(len(rig), 6, len(rig), 6)
+    return RigCovariance(matrix, rig_size(rig))
 
 
 def _refuse_known_unit(folder: Path, rig: CameraRig, unit: str) -> None:

@@ -1,4 +1,4 @@
-"""What the bodies of poses are: which joint is where, how large they are, when they stand."""
+"""The bodies of poses: their joints, the length of their legs, and when they stand."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,16 +6,36 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.geometry.alignment import mean_of_known
+from mocap_calib.kinematics.measure import leg_lengths
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.results import POINT_SOURCES, Poses3D
 from mocap_calib.types import Bools, Floats, Recording, Skeleton
 
+# joints that touch the floor, and those above them in the middle of the body, by kind of skeleton
+FEET = {
+    "people": ("left_ankle", "right_ankle"),
+    "quadruped": ("left_back_paw", "right_back_paw", "left_front_paw", "right_front_paw"),
+    "rodent": ("left_hindpaw", "right_hindpaw", "left_forepaw", "right_forepaw"),
+}
+_SHOULDERS = ("left_shoulder", "right_shoulder")
+TRUNK = {
+    "people": (*_SHOULDERS, "neck"),
+    "quadruped": (
+        *("spine", "croup", "neck_base", "tail_base", "left_hip", "right_hip"),
+        *_SHOULDERS,
+    ),
+    "rodent": (
+        *("spine_front", "spine_middle", "spine_back", "tail_base", "left_hip", "right_hip"),
+        *_SHOULDERS,
+    ),
+}
+_LEG = ("hip", "knee", "ankle")
+
 
 @dataclass(frozen=True)
 class Joints:
-    """Where the joints of a skeleton are among the keypoints of poses.
+    """The keypoints of poses that are joints of a skeleton.
 
     kind: name of the skeleton ("people", "quadruped", ...).
     columns: joint -> index of the keypoint.
@@ -25,12 +45,27 @@ class Joints:
     columns: dict[str, int]
 
     def present(self, names: Sequence[str]) -> list[int]:
-        """Return the indices of the keypoints of these joints, without those that are absent."""
+        """Return the indices of the keypoints of these joints, without joints that are absent."""
         return [self.columns[name] for name in names if name in self.columns]
+
+    @property
+    def feet(self) -> list[int]:
+        """Indices of the keypoints of the feet."""
+        return self.present(FEET.get(self.kind, ()))
+
+    @property
+    def trunk(self) -> list[int]:
+        """Indices of the keypoints of the trunk."""
+        return self.present(TRUNK.get(self.kind, ()))
+
+    @property
+    def have_feet(self) -> bool:
+        """Whether bodies with these joints can show a floor."""
+        return len(self.feet) >= 2 and bool(self.trunk)
 
 
 def find_joints(keypoints: tuple[str, ...], skeleton: Skeleton | None = None) -> Joints:
-    """Return which keypoints are which joints.
+    """Return the joints that keypoints are, by their names.
 
     skeleton: of the model; None: the shipped one that knows most of the names.
     """
@@ -41,88 +76,64 @@ def find_joints(keypoints: tuple[str, ...], skeleton: Skeleton | None = None) ->
 
 
 def joints_of_recording(recording: Recording) -> Joints:
-    """Return which keypoints of a recording are which joints, as its model calls them."""
-    skeleton = load_vocabulary(recording.model)
-    columns = {
-        skeleton.keypoints[joint]: k for k, joint in enumerate(recording.vocabulary) if joint >= 0
-    }
+    """Return the joints that the keypoints of a recording are, by the vocabulary of its model."""
+    columns = {joint: k for k, joint in enumerate(_spell_joints(recording)) if joint}
     if not columns:
         return find_joints(recording.keypoints)
     return Joints(choose_skeleton(columns).name, columns)
 
 
 def stated_joints(recording: Recording) -> tuple[str, ...]:
-    """Return the joint `[keypoint]` of each keypoint, "" = none, where their names do not say so.
+    """Return the joint `[keypoint]` of each keypoint, "" = none; empty where names say the same.
 
-    That is where a user's file of names or another model did; empty otherwise.
+    Names do not say it where a user's file of names or another model does.
     """
-    skeleton = load_vocabulary(recording.model)
-    joints = tuple(
-        skeleton.keypoints[joint] if joint >= 0 else "" for joint in recording.vocabulary
-    )
+    joints = _spell_joints(recording)
     spelt = tuple(a or b for a, b in zip(joints, recording.keypoints, strict=True))
     same = find_joints(spelt).columns == find_joints(recording.keypoints).columns
     return () if same else joints
 
 
-def keep_triangulated(poses: Poses3D) -> Poses3D:
-    """Return poses without the points that no two views saw: these rest on other bodies."""
-    seen = poses.source == POINT_SOURCES.index("triangulated")
-    positions = mapped.in_blocks(
-        lambda block: np.where(seen[block, ..., None], poses.positions[block], np.nan), len(seen)
-    )
-    return replace(poses, positions=positions, raw=positions, source=poses.source * seen)
+def _spell_joints(recording: Recording) -> tuple[str, ...]:
+    """Return the model's joint `[keypoint]` of each keypoint, "" = none."""
+    names = load_vocabulary(recording.model).keypoints
+    return tuple(names[joint] if joint >= 0 else "" for joint in recording.vocabulary)
 
 
-def mean_of(positions: Floats, columns: Sequence[int]) -> Floats:
-    """Return the middle `[frame, individual, 3]` of some keypoints, NaN where none is there."""
-    return mapped.in_blocks(
-        lambda block: mean_of_known(positions[block][:, :, list(columns)], axis=2), len(positions)
+def sample_poses(poses: Poses3D) -> Poses3D:
+    """Return at most 10,000 of the frames with bodies, and of these the triangulated points.
+
+    Points that fewer than two views saw follow from other frames and other bodies.
+    """
+    seen = mapped.in_blocks(
+        lambda block: np.isfinite(poses.positions[block, ..., 0]).any((1, 2)), len(poses.frames)
     )
+    poses = poses.select(frames=mapped.some_frames(np.flatnonzero(seen)))
+    triangulated = poses.source == POINT_SOURCES.index("triangulated")
+    positions = np.where(triangulated[..., None], poses.positions, np.nan)
+    return replace(poses, positions=positions, raw=positions)
 
 
 def distance(positions: Floats, a: int, b: int) -> Floats:
     """Return the distance `[frame, individual]` between two keypoints."""
-    return mapped.in_blocks(
-        lambda block: np.linalg.norm(positions[block, :, a] - positions[block, :, b], axis=-1),
-        len(positions),
-    )
+    return np.asarray(np.linalg.norm(positions[:, :, a] - positions[:, :, b], axis=-1))
 
 
-def leg_lengths(poses: Poses3D, joints: Joints) -> Floats:
-    """Return the length `[individual]` of the legs of people, thigh and shank; NaN = not known."""
-    lengths = np.full((2, poses.positions.shape[1]), np.nan)
-    for k, side in enumerate(("left", "right")):
-        chain = joints.present([f"{side}_{joint}" for joint in ("hip", "knee", "ankle")])
-        if len(chain) == 3:
-            bones = [distance(poses.positions, *pair) for pair in (chain[:2], chain[1:])]
-            lengths[k] = sum(median_over_frames(bone) for bone in bones)
-    return mean_of_known(lengths, axis=0)
+def lengths_of_legs(positions: Floats, joints: Joints) -> Floats:
+    """Return the length `[individual]` of people's legs, hip to ankle; NaN = not known."""
+    legs = [joints.present([f"{side}_{joint}" for joint in _LEG]) for side in ("left", "right")]
+    return leg_lengths(positions, [leg for leg in legs if len(leg) == len(_LEG)])
 
 
-def stand_straight(poses: Poses3D, joints: Joints, least: float) -> Bools:
-    """Return in which frames which people `[frame, individual]` stand on a straight leg.
+def stand_straight(positions: Floats, joints: Joints, least: float) -> Bools:
+    """Return whether people `[frame, individual]` stand on a straight leg.
 
-    least: share of the length of the leg that the hip is away from the ankle.
+    least: distance of hip and ankle, as a share of the length of the leg.
     """
-    length = leg_lengths(poses, joints)
-    straight = np.zeros(poses.positions.shape[:2], dtype=bool)
+    length = lengths_of_legs(positions, joints)
+    straight = np.zeros(positions.shape[:2], dtype=bool)
     for side in ("left", "right"):
         ends = joints.present([f"{side}_hip", f"{side}_ankle"])
         if len(ends) == 2:
-            straight |= distance(poses.positions, *ends) > least * length
+            straight |= distance(positions, *ends) > least * length
     return straight
-
-
-def median_over_frames(values: Floats) -> Floats:
-    """Return the median `[...]` of `[frame, ...]` values without NaN; NaN where there is none."""
-    return quantile_over_frames(values, 0.5)
-
-
-def quantile_over_frames(values: Floats, share: float) -> Floats:
-    """Return a quantile `[...]` of `[frame, ...]` values without NaN; NaN where there is none."""
-    ordered = np.sort(values, axis=0)  # NaN comes last
-    count = np.isfinite(values).sum(0)
-    index = np.floor(share * np.maximum(count - 1, 0)).astype(np.int64)
-    found = np.take_along_axis(ordered, index[None], axis=0)[0] if len(values) else np.nan
-    return np.where(count > 0, found, np.nan)

@@ -1,41 +1,27 @@
-"""Give results the coordinates that were asked for: scale, up, floor, origin and heading."""
+"""Move results to the requested coordinates: scale, up, floor, origin and heading."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib import mapped
-from mocap_calib.config import WORLDS, CueConfig, FloorConfig, ScaleCue, WorldConfig
+from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.epochs import views_by_camera
-from mocap_calib.results import CalibrationResult, GroupResult, Poses3D
+from mocap_calib.results import CalibrationResult, GroupResult, Poses3D, RigCovariance
 from mocap_calib.types import METRES, CameraRig, Floats, World
-from mocap_calib.world.alignment import (
-    align_to_cameras,
-    align_to_landmarks,
-    describe_alignment,
-)
-from mocap_calib.world.asked import camera_pair, joint_pair
-from mocap_calib.world.body import (
-    Joints,
-    distance,
-    joints_of_recording,
-    keep_triangulated,
-    median_over_frames,
-    quantile_over_frames,
-)
-from mocap_calib.world.cues import Measurable, Scale, find_scale, scaled_world
+from mocap_calib.world.align import align_to_cameras, align_to_landmarks, describe_alignment
+from mocap_calib.world.body import Joints, joints_of_recording, sample_poses
 from mocap_calib.world.floor import Floor, find_floor
+from mocap_calib.world.lengths import Measurable, Scale, check_unit, find_scale, scaled_world
 from mocap_calib.world.moving import Similarity, move_group
-
-_METRES = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048}
+from mocap_calib.world.requested import camera_pair, joint_pair
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where to move results, and what is known of the coordinates then."""
+    """A similarity to new coordinates, their unit, and the world that they are."""
 
     by: Similarity
     unit: str
@@ -43,10 +29,10 @@ class Placement:
 
 
 def place_result(result: CalibrationResult) -> CalibrationResult:
-    """Return the result with each group in the coordinates that its configuration asks for.
+    """Return the result with each group in the coordinates that its configuration requests.
 
-    A group whose cameras or subjects do not allow that has others, and lengths that are arbitrary:
-    `World.axes_unmet` and `World.scale_unmet` say why.
+    Where cameras or subjects do not allow that, a group has those of "auto", and arbitrary lengths:
+    `World.axes_unmet` and `World.scale_unmet` have the reason.
     """
     config = result.config.world
     groups = []
@@ -57,47 +43,46 @@ def place_result(result: CalibrationResult) -> CalibrationResult:
 
 
 def place_in_world(group: GroupResult, config: WorldConfig) -> GroupResult:
-    """Return a group of cameras and all that is known of it in the coordinates asked for."""
-    joints = joints_of_recording(group.recording)
-    poses = keep_triangulated(group.poses)
-    floor = look_for_floor(group.poses, joints, group.rig, group.verdict, config.floor)
+    """Return a group of cameras with its poses and covariances in the requested coordinates."""
     covariance = group.uncertainty.covariance
-    if isinstance(floor, Floor):
+    joints = joints_of_recording(group.recording)
+    on = measurable(group.poses, joints, group.rig, covariance, config, verdict=group.verdict)
+    if isinstance(on.floor, Floor):
         turn = float(np.median(covariance.rotation_sigma))
-        floor = replace(floor, up_sigma=float(np.hypot(floor.up_sigma, turn)))
-    on = Measurable(poses, joints, group.rig, floor, covariance)
+        floor = replace(on.floor, up_sigma=float(np.hypot(on.floor.up_sigma, turn)))
+        on = replace(on, floor=floor)
     placement = find_placement(on, config)
     return move_group(group, placement.by, placement.unit, placement.world)
 
 
-def look_for_floor(
-    poses: Poses3D, joints: Joints, rig: CameraRig, verdict: str, config: FloorConfig
-) -> Floor | str:
-    """Return the floor below poses, or why there is none.
+def measurable(
+    poses: Poses3D,
+    joints: Joints,
+    rig: CameraRig,
+    covariance: RigCovariance,
+    config: WorldConfig,
+    *,
+    verdict: str,
+) -> Measurable:
+    """Return results as lengths are measured in them, with the floor.
 
-    Of a long recording at most 10,000 frames are looked at, of those that show somebody.
-
-    verdict: on the rig, "" where nobody judged it.
+    verdict: on the rig, "" = none.
     """
+    sample = sample_poses(poses)
     if verdict == "not determined":
-        return "the rig is not determined"
-    # as they were seen: best estimates lift or lower feet a little, for the sake of bones
-    seen = replace(poses, positions=poses.raw)
-    somebody = mapped.in_blocks(
-        lambda block: np.isfinite(poses.raw[block, ..., 0]).any((1, 2)), len(poses.frames)
-    )
-    frames = mapped.some_frames(np.flatnonzero(somebody))
-    return find_floor(seen.select(frames=frames), joints, rig, config)
+        return Measurable(sample, joints, rig, "the rig is not determined", covariance)
+    floor = find_floor(sample, joints, config.floor)
+    return Measurable(sample, joints, rig, floor, covariance)
 
 
 def find_placement(on: Measurable, config: WorldConfig) -> Placement:
-    """Return where to move cameras and poses, and what is known of the coordinates then.
+    """Return the way to the requested coordinates, and the world that they are.
 
-    What cannot be had is left out, and the world says why.
+    Axes and lengths that the results do not allow are left out, and the world has the reason.
     """
     scale, scale_unmet = None, ""
     try:
-        scale = find_scale(config.cues, on, config.measure, config.floor)
+        scale = find_scale(config.cues, on, config)
     except MismatchError as error:
         scale_unmet = str(error)
     try:
@@ -112,13 +97,14 @@ def find_placement(on: Measurable, config: WorldConfig) -> Placement:
 
 
 def _find_axes(on: Measurable, config: WorldConfig) -> Placement:
-    """Return the way to the axes that are asked for, with lengths as those say them.
+    """Return the way to the requested axes, in their unit of length.
 
-    Raises MismatchError and DegenerateError where they cannot be had.
+    Raises MismatchError and DegenerateError where the results do not allow them.
     """
     if config.landmarks:
         by, sigma, seen = align_to_landmarks(on.rig, config.landmarks, config, on.covariance)
-        doubts = _check_people(on, by, "m", "--align", config.measure)
+        metres = by.scale * on.poses.positions
+        doubts = check_unit(metres, on.joints, "--align", config.measure)
         remarks = (describe_alignment(seen), *doubts)
         world = World(kind="landmarks", scale_sigma=sigma, remarks=remarks, landmarks=seen)
         return Placement(by, "m", world)
@@ -126,12 +112,13 @@ def _find_axes(on: Measurable, config: WorldConfig) -> Placement:
         by, sigma, remark = align_to_cameras(on.rig, config, on.covariance)
         return Placement(by, config.unit, _world_of_file(on, by, sigma, remark, config))
     if isinstance(on.floor, Floor) and config.axes in ("auto", "floor"):
-        return Placement(_stand_on_floor(on, on.floor, config), on.poses.unit, World(kind="floor"))
+        by = _way_to_floor(on, on.floor, config)
+        return Placement(by, on.poses.unit, World(kind="floor"))
     if config.axes == "floor" or config.forward:
         option = f"--forward {config.forward}" if config.forward else "--world floor"
         raise MismatchError(
             f"{option}: expected subjects that show a floor, found that {on.floor}; "
-            "leave it out, or name a camera with --world"
+            "leave it out, or use --world CAMERA"
         )
     return _look_through_camera(on, config)
 
@@ -139,37 +126,33 @@ def _find_axes(on: Measurable, config: WorldConfig) -> Placement:
 def _world_of_file(
     on: Measurable, by: Similarity, sigma: float, remark: str, config: WorldConfig
 ) -> World:
-    """Return what is known of the world of a file of cameras.
+    """Return the world of a file of cameras. Raises MismatchError where people do not fit its unit.
 
-    by: the way to it. sigma: of the scale. remark: on the alignment. Raises MismatchError.
+    by: the way to it. sigma: of the scale. remark: on the alignment.
     """
     if config.unit not in METRES:
         return World(kind="file", remarks=(remark,))
-    doubts = _check_people(on, by, config.unit, "--world", config.measure)
+    metres = METRES[config.unit] * by.scale * on.poses.positions
+    doubts = check_unit(metres, on.joints, "--world", config.measure)
     return World(kind="file", scale_sigma=sigma, remarks=(remark, *doubts))
 
 
-def _stand_on_floor(on: Measurable, floor: Floor, config: WorldConfig) -> Similarity:
+def _way_to_floor(on: Measurable, floor: Floor, config: WorldConfig) -> Similarity:
     """Return the way to axes with z up, the origin on the floor below the middle of the bodies."""
     ahead = _heading(on, floor.up, config)
     ahead = ahead - (ahead @ floor.up) * floor.up
     ahead = ahead / np.linalg.norm(ahead)
     rotation = nearest_rotation(np.stack([np.cross(ahead, floor.up), ahead, floor.up]))
-    points = mapped.some_frames(on.poses.positions).reshape(-1, 3)
-    middle = np.array([_median_of_known(points[:, axis]) for axis in range(3)])
+    points = on.poses.positions.reshape(-1, 3)
+    middle = np.median(points[np.isfinite(points[:, 0])], axis=0)
     origin = middle - ((middle - floor.point) @ floor.up) * floor.up
     return Similarity(1.0, rotation, -rotation @ origin)
 
 
-def _median_of_known(values: Floats) -> float:
-    """Return the median of the values `[N]` that are finite."""
-    return float(np.median(mapped.finite_values(values), overwrite_input=True))
-
-
 def _heading(on: Measurable, up: Floats, config: WorldConfig) -> Floats:
-    """Return the direction `[3]` that is ahead; its part along up is left out afterwards.
+    """Return the forward direction `[3]`; the caller takes its part along up off.
 
-    Raises MismatchError where the joints that say it are not seen, or lie above each other.
+    Raises MismatchError where the joints that define it are missing, or above each other.
     """
     if not config.forward:
         looking, image_up = on.rig.rotation[0, 2], -on.rig.rotation[0, 1]
@@ -184,8 +167,8 @@ def _heading(on: Measurable, up: Floats, config: WorldConfig) -> Floats:
     ahead = np.median(level, axis=0) if len(level) else np.zeros(3)
     if np.linalg.norm(ahead - (ahead @ up) * up) < 0.1:
         raise MismatchError(
-            f"--forward {config.forward}: expected joints that mostly lie one way, found them all "
-            "ways or not at all; leave it out"
+            f"--forward {config.forward}: expected joints that mostly lie in one direction, found "
+            "them in all directions or not at all; leave it out"
         )
     return np.asarray(ahead)
 
@@ -200,7 +183,7 @@ def _look_through_camera(on: Measurable, config: WorldConfig) -> Placement:
     if named and config.axes not in views:
         raise MismatchError(
             f"--world {config.axes}: expected a camera of the rig, one of {', '.join(views)}, "
-            "found one that could not be placed; name another"
+            "found one that was left out of it; name another"
         )
     name = config.axes if named else next(iter(views))
     rotation, translation = on.rig.rotation[views[name]], on.rig.translation[views[name]]
@@ -209,23 +192,23 @@ def _look_through_camera(on: Measurable, config: WorldConfig) -> Placement:
 
 
 def _with_scale(placement: Placement, scale: Scale | None) -> Placement:
-    """Return the placement with lengths in metres, where something says how long they are."""
+    """Return the placement with lengths in metres where there is a scale."""
     if scale is None:
         return placement
-    by = placement.by  # to a world whose lengths may differ from those that were measured
+    by = placement.by  # whose lengths may differ from those that were measured
     moved = Similarity(scale.factor, by.rotation, scale.factor / by.scale * by.shift)
     return Placement(moved, "m", scaled_world(placement.world, scale))
 
 
 def _with_floor(placement: Placement, on: Measurable) -> Placement:
-    """Return the placement whose world says what is up and where the floor is."""
+    """Return the placement whose world has up and the floor."""
     by, world = placement.by, placement.world
     if isinstance(on.floor, str):
         remarks = (*world.remarks, f"floor not determined: {on.floor}")
         return replace(placement, world=replace(world, remarks=remarks))
     remark = (
-        "up and the floor are from the feet; up is uncertain by "
-        f"{np.degrees(on.floor.up_sigma):.1f} deg, a standard deviation"
+        "up and the floor follow from the feet; uncertainty of up (1 SD): "
+        f"{np.degrees(on.floor.up_sigma):.1f} deg"
     )
     up, point = by.rotation @ on.floor.up, by.apply(on.floor.point)
     if world.kind == "floor":
@@ -244,9 +227,9 @@ def _with_floor(placement: Placement, on: Measurable) -> Placement:
 def _cues_of_group(
     cues: Sequence[ScaleCue], groups: Sequence[GroupResult], number: int
 ) -> tuple[ScaleCue, ...]:
-    """Return the cues that are of a group: individuals by number are those of the largest.
+    """Return the cues of a group. Numbers of individuals are those of the largest group.
 
-    A distance of cameras that no group has is one of the largest, which complains of it.
+    A distance of cameras that are in no group counts as one of the largest, which refuses it.
     """
     own = []
     for cue in cues:
@@ -265,58 +248,3 @@ def _has_cameras(group: GroupResult, cue: ScaleCue) -> bool:
     except MismatchError:
         return False
     return True
-
-
-# --- the stated unit, by the size of people
-
-
-def _check_people(
-    on: Measurable, by: Similarity, unit: str, option: str, config: CueConfig
-) -> tuple[str, ...]:
-    """Return a remark where people would be too small in a stated world, none where all is well.
-
-    by: the way there. unit: of lengths in it. option: that states it.
-
-    Raises MismatchError where they would be taller than anybody is.
-    """
-    seen = _tallness(on, config)
-    if not len(seen):
-        return ()
-    tall = METRES[unit] * by.scale * float(np.median(seen))
-    if tall > config.statures[1]:
-        raise MismatchError(
-            f"{option}: expected lengths in {unit}, found people {tall:.4g} m tall; "
-            f"{_likely_unit(tall, config)}"
-        )
-    if tall < config.least_tall:
-        return (f"people are {tall:.2g} m tall: is {option} in {unit}?",)
-    return ()
-
-
-def _tallness(on: Measurable, config: CueConfig) -> Floats:
-    """Return how far heads are from ankles `[N]` of all whose are seen, about a stature."""
-    joints, positions = on.joints, on.poses.positions
-    ankles = joints.present(("left_ankle", "right_ankle"))
-    if joints.kind != "people":
-        return np.zeros(0)
-    found = [np.full(positions.shape[1], np.nan)]
-    for name, share in config.head_height:
-        for head in joints.present([name]):
-            for ankle in ankles:
-                apart = distance(positions, head, ankle) / share
-                enough = np.isfinite(apart).sum(0) >= config.least_frames
-                far = quantile_over_frames(apart, config.tall_quantile)
-                found.append(np.where(enough, far, np.nan))
-    tall = median_over_frames(np.array(found))
-    return tall[np.isfinite(tall)]
-
-
-def _likely_unit(tall: float, config: CueConfig) -> str:
-    """Return what to do about lengths that make people so many metres tall."""
-    least, most = config.statures
-    fits = {name: tall * metres for name, metres in _METRES.items()}
-    fits = {name: metres for name, metres in fits.items() if least <= metres <= most}
-    if not fits:
-        return "correct the lengths"
-    name = min(fits, key=lambda each: abs(np.log(fits[each] / config.usual_stature)))
-    return f"were {name} meant? multiply them by {_METRES[name]:g}"

@@ -5,8 +5,9 @@ import pytest
 from scenes import scene
 
 from mocap_calib.config import Config, FloorConfig
+from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
-from mocap_calib.results import Poses3D
+from mocap_calib.results import Poses3D, RigCovariance
 from mocap_calib.types import Camera, CameraRig
 from mocap_calib.world.body import find_joints
 from mocap_calib.world.floor import Floor, find_floor
@@ -24,21 +25,25 @@ def poses_of(positions: np.ndarray, joints: tuple[str, ...], noise: float = 0.0)
     return Poses3D(joints, frames, moved, known, known.astype(int), known, "arbitrary")
 
 
-def level_rig(lean: float = 0.0) -> CameraRig:
-    """Four cameras in a ring, level but for what all of them lean by together (radians)."""
+def level_rig() -> CameraRig:
+    """Four level cameras in a ring."""
     angles = np.arange(4) * np.pi / 2 + 0.3
     ahead = -np.stack([np.cos(angles), np.sin(angles), np.full(4, 0.2)], axis=1)
-    down = np.array([0.0, np.sin(lean), -np.cos(lean)])
-    ahead = ahead @ matrix_from_vector(np.array([lean, 0.0, 0.0])).T
+    down = np.array([0.0, 0.0, -1.0])
     rotation = np.stack([looking_along(each, down) for each in ahead]) @ TURN.T
     camera = np.diag([1000.0, 1000.0, 1.0])
     cameras = tuple(Camera(f"c{k}", (640, 480), camera) for k in range(4))
     return CameraRig(cameras, rotation, np.tile([0.0, 0.0, 4.0], (4, 1)))
 
 
-def floor_under(positions: np.ndarray, joints: tuple[str, ...], *, noise=0.0, lean=0.0):
+def exact(rig: CameraRig) -> RigCovariance:
+    """The covariance of a rig without error."""
+    return RigCovariance(np.zeros((len(rig), 6, len(rig), 6)), rig_size(rig))
+
+
+def floor_under(positions: np.ndarray, joints: tuple[str, ...], *, noise=0.0):
     poses = poses_of(positions, joints, noise)
-    return find_floor(poses, find_joints(joints), level_rig(lean), FloorConfig())
+    return find_floor(poses, find_joints(joints), FloorConfig())
 
 
 def up_error_deg(floor: Floor) -> float:
@@ -91,23 +96,28 @@ def test_who_stands_higher_than_others_makes_up_uncertain_then_unknown():
     assert "contradict each other" in contradicting
 
 
-def test_a_climbing_animal_a_flying_bird_and_a_wall_show_no_floor():
+def test_a_climbing_animal_and_a_flying_bird_show_no_floor():
     made = scene(people=0, animals=(("quadruped", 1),))
     rise = np.linspace(0, 3, len(made.poses))[:, None, None]
     climbing = made.poses + np.array([0.0, 0.0, 1.0]) * np.abs(np.sin(4 * rise))
-    assert "far from one plane" in floor_under(climbing, made.joints)
-    assert "against the cameras" in floor_under(made.poses, made.joints, lean=np.pi / 3)
+    assert "at different heights" in floor_under(climbing, made.joints)
     flying = scene(people=0, animals=(("bird", 1),))
     assert "no feet" in floor_under(flying.poses, flying.joints)
 
 
-def test_feet_that_are_hardly_seen_show_no_floor():
+def test_few_feet_make_up_uncertain_and_none_show_no_floor():
+    """Measured: 2.4 deg for a stated 4.9, from feet in 8 of 60 frames."""
     made = scene(people=1)
     hidden = made.poses.copy()
-    hidden[8:, :, [made.joints.index(f"{side}_ankle") for side in ("left", "right")]] = np.nan
-    assert "feet were seen of" in floor_under(hidden, made.joints)
+    feet = [made.joints.index(f"{side}_ankle") for side in ("left", "right")]
+    hidden[8:, :, feet] = np.nan
+    whole, few = (floor_under(poses, made.joints) for poses in (made.poses, hidden))
+    assert few.up_sigma > 1.2 * whole.up_sigma
+    assert up_error_deg(few) < 1.73 * np.degrees(few.up_sigma)
+    hidden[:, :, feet] = np.nan
+    assert floor_under(hidden, made.joints) == "no feet were seen"
     nothing = np.full_like(made.poses, np.nan)
-    assert floor_under(nothing, made.joints) == "nobody was found"
+    assert floor_under(nothing, made.joints) == "no bodies were found"
 
 
 def test_constants_are_part_of_what_a_run_says():

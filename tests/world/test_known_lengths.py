@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import scene
-from test_floor import SHIFT, TURN, poses_of
+from test_floor import SHIFT, TURN, exact, poses_of
 
-from mocap_calib.config import CueConfig, FloorConfig, ScaleCue
+from mocap_calib.config import FloorConfig, ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.world.body import find_joints
-from mocap_calib.world.cues import Measurable, find_scale, statures
 from mocap_calib.world.floor import find_floor
+from mocap_calib.world.lengths import Measurable, find_scale, statures
 
 SCALE = 0.4  # of a metre
 
@@ -29,11 +29,12 @@ def measurable(bend: bool = False, **who) -> Measurable:
     rig = replace(made.rig, rotation=made.rig.rotation @ TURN.T)
     rig = replace(rig, translation=rig.translation - rig.rotation @ SHIFT)
     poses, rig = poses.scale(1 / SCALE, "arbitrary"), rig.scale(1 / SCALE, "arbitrary")
-    return Measurable(poses, joints, rig, find_floor(poses, joints, rig, FloorConfig()))
+    floor = find_floor(poses, joints, FloorConfig())
+    return Measurable(poses, joints, rig, floor, exact(rig))
 
 
 def scale_of(*cues: ScaleCue, on: Measurable):
-    return find_scale(cues, on, CueConfig(), FloorConfig())
+    return find_scale(cues, on, WorldConfig())
 
 
 def stature(individual: int) -> float:
@@ -76,9 +77,9 @@ def test_stated_uncertainty_counts():
 
 def test_heights_are_of_each_who_stands_and_of_nobody_who_sits():
     on = measurable()
-    found = statures(on, CueConfig(), FloorConfig()) * SCALE
+    found = statures(on, WorldConfig()) * SCALE
     assert found == pytest.approx([stature(0), stature(1)], rel=0.04)
-    with pytest.raises(MismatchError, match="somebody who stands"):
+    with pytest.raises(MismatchError, match="expected someone on a straight leg"):
         scale_of(ScaleCue("height", 1.75), on=measurable(bend=True))
 
 
@@ -90,9 +91,9 @@ def test_heights_are_of_each_who_stands_and_of_nobody_who_sits():
         ([ScaleCue("camera distance", 3.0, of="cam1-cam9")], "'cam9'"),
         (
             [ScaleCue("height", 175)],
-            "metres, 0.3 to 3, found 175; were centimetres meant. say 1.75",
+            "metres, 0.3 to 3, found 175; were centimetres meant. multiply by 0.01: 1.75 m",
         ),
-        ([ScaleCue("height", 1750, of="0")], "were millimetres meant. say 1.75"),
+        ([ScaleCue("height", 1750, of="0")], "were millimetres meant. multiply by 0.001: 1.75 m"),
         ([ScaleCue("height", 0.1)], "found 0.1; correct it"),
         ([ScaleCue("height", 1.7, of="5")], "expected an individual, one of 0, 1"),
         (

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import recording, scene
-from test_floor import level_rig, poses_of
+from test_floor import exact, level_rig, poses_of
 
-from mocap_calib.config import FloorConfig, KnownCamera, Landmark, ScaleCue, WorldConfig
+from mocap_calib.config import KnownCamera, Landmark, ScaleCue, WorldConfig
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.read import make_rig, parse_content
@@ -17,15 +17,15 @@ from mocap_calib.io.landmarks_csv import read_landmarks
 from mocap_calib.io.poses import npz
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
-from mocap_calib.results import RigCovariance
+from mocap_calib.results import POINT_SOURCES, RigCovariance
 from mocap_calib.types import CameraRig, MeasuredCue, MeasuredLandmark, World
-from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
-from mocap_calib.world.asked import check_world
+from mocap_calib.world.align import align_to_cameras, align_to_landmarks
 from mocap_calib.world.body import find_joints
-from mocap_calib.world.cues import Measurable
 from mocap_calib.world.floor import Floor
+from mocap_calib.world.lengths import Measurable
 from mocap_calib.world.moving import Similarity, move_covariance, move_poses, move_rig
-from mocap_calib.world.place import find_placement, look_for_floor
+from mocap_calib.world.place import find_placement, measurable
+from mocap_calib.world.requested import check_world
 
 SIDES = ("left", "right", "left")
 BY = Similarity(1.7, matrix_from_vector(np.array([0.3, -0.2, 1.2])), np.array([1.0, -2.0, 0.5]))
@@ -84,17 +84,24 @@ def test_known_cameras_and_landmarks_bring_a_rig_back_to_its_world():
     made = scene()
     away = move_rig(made.rig, BY, "arbitrary", World())
     known = known_cameras(made.rig)
-    by, sigma, remark = align_to_cameras(away, WorldConfig(cameras=known[1:3], unit="m"))
+    by, sigma, remark = align_to_cameras(
+        away, WorldConfig(cameras=known[1:3], unit="m"), exact(away)
+    )
     np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-8)
     assert sigma < 1e-8
-    assert remark == (
-        "aligned to 2 cameras whose places were given, RMS distance 0 mm, RMS angle 0.0 deg"
-    )
-    by, sigma, seen = align_to_landmarks(away, landmarks(), WorldConfig())
+    assert remark == ("aligned to 2 cameras of known pose, RMS distance 0 mm, RMS angle 0.0 deg")
+    by, sigma, seen = align_to_landmarks(away, landmarks(), WorldConfig(), exact(away))
     np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-5)
     assert sigma < 1e-5
     assert [each.name for each in seen] == list("abcd")
     assert max(each.distance for each in seen) < 1e-5
+
+
+def people_seen() -> Measurable:
+    """Walkers with truth, without a floor."""
+    made = scene()
+    poses, joints = poses_of(made.poses, made.joints), find_joints(made.joints)
+    return Measurable(poses, joints, made.rig, "no floor is asked for", exact(made.rig))
 
 
 def known_cameras(rig: CameraRig) -> tuple[KnownCamera, ...]:
@@ -124,12 +131,12 @@ def test_landmarks_that_do_not_say_enough_are_refused_in_a_line():
     rig = scene().rig
     line = landmarks(((0, 0, 0), (1, 0, 0), (2, 0, 0)))
     with pytest.raises(MismatchError, match="not on a line"):
-        align_to_landmarks(rig, line, WorldConfig())
+        align_to_landmarks(rig, line, WorldConfig(), exact(rig))
     alone = [each for each in landmarks() if each.camera == rig.names[0]]
     with pytest.raises(MismatchError, match="3 landmarks that two cameras see, found 0 of 4"):
-        align_to_landmarks(rig, alone, WorldConfig())
+        align_to_landmarks(rig, alone, WorldConfig(), exact(rig))
     with pytest.raises(MismatchError, match="at least two cameras of the recording"):
-        align_to_cameras(rig, WorldConfig())
+        align_to_cameras(rig, WorldConfig(), exact(rig))
 
 
 MARKS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 1]])
@@ -137,10 +144,11 @@ MARKS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 1]])
 
 def test_landmarks_measured_by_hand_are_good_enough():
     """Measured: 0.4 sigma with a pixel of noise, 1.4 with 2 cm (an axis) in 4 m, of 5."""
-    align_to_landmarks(scene().rig, landmarks(MARKS, noise=1.0), WorldConfig())
+    rig = scene().rig
+    align_to_landmarks(rig, landmarks(MARKS, noise=1.0), WorldConfig(), exact(rig))
     wide = 4.0 * (MARKS - 0.5) * [1, 1, 0.4] + [0, 0, 1]
     by_hand = wide + 0.02 * np.random.default_rng(0).normal(size=wide.shape)
-    align_to_landmarks(scene().rig, landmarks(wide, by_hand, noise=1.0), WorldConfig())
+    align_to_landmarks(rig, landmarks(wide, by_hand, noise=1.0), WorldConfig(), exact(rig))
 
 
 @pytest.mark.parametrize(
@@ -148,12 +156,13 @@ def test_landmarks_measured_by_hand_are_good_enough():
     [
         (MARKS * [1, 1, 2], "most of all e; correct or leave out e, without"),
         (MARKS[:, [1, 0, 2]], "right-handed axes, found that their mirror image"),
-        (MARKS * [1, 3, 1], "most of all . ?; correct their places or pixels"),
+        (MARKS * [1, 3, 1], "most of all . ?; correct the file"),
     ],
 )
 def test_landmarks_that_contradict_what_cameras_see_are_refused(stated, says):
+    rig = scene().rig
     with pytest.raises(MismatchError, match=says) as error:
-        align_to_landmarks(scene().rig, landmarks(MARKS, stated, noise=1.0), WorldConfig())
+        align_to_landmarks(rig, landmarks(MARKS, stated, noise=1.0), WorldConfig(), exact(rig))
     assert "\n" not in str(error.value)
 
 
@@ -164,7 +173,9 @@ def test_files_of_cameras_are_held_to_the_rig():
     away = move_rig(rig, BY, "arbitrary", World())
     turn = np.radians(1) / np.sqrt(3) * rng.normal(size=(len(rig), 3))
     rough = place(rig, matrix_from_vector(turn) @ rig.rotation, rig.centres)
-    _, _, remark = align_to_cameras(away, WorldConfig(cameras=known_cameras(rough), unit="m"))
+    _, _, remark = align_to_cameras(
+        away, WorldConfig(cameras=known_cameras(rough), unit="m"), exact(away)
+    )
     assert "RMS angle 0.7 deg" in remark
     one = rig.rotation.copy()
     one[1] = matrix_from_vector(np.array([0.0, 0.6, 0.0])) @ one[1]
@@ -176,16 +187,19 @@ def test_files_of_cameras_are_held_to_the_rig():
         (place(rig, rig.rotation, mirrored), "found them .* deg from there|mirror image"),
     ):
         with pytest.raises(MismatchError, match=says):
-            align_to_cameras(away, WorldConfig(cameras=known_cameras(other)))
+            align_to_cameras(away, WorldConfig(cameras=known_cameras(other)), exact(away))
 
 
 @pytest.mark.parametrize(
     ("length", "says"),
     [
-        (1000, "--align: expected lengths in m, found people .* m tall; were millimetres meant"),
-        (100, "were centimetres meant. multiply them by 0.01"),
+        (
+            1000,
+            "--align: expected lengths in its unit, found people .* m tall; were millimetres meant",
+        ),
+        (100, "were centimetres meant. multiply by 0.01"),
         (39.4, "were inches meant"),
-        (1e6, "correct the lengths"),
+        (1e6, "tall; correct it"),
     ],
 )
 def test_landmarks_in_another_unit_are_told_by_the_people(length, says):
@@ -196,19 +210,17 @@ def test_landmarks_that_make_people_small_are_doubted():
     assert not placed_by_landmarks(MARKS, MARKS).axes_unmet
     small = placed_by_landmarks(MARKS, 0.1 * MARKS)
     assert (small.kind, small.axes_unmet) == ("landmarks", "")
-    assert small.remarks[1].endswith("m tall: is --align in m?")
+    assert small.remarks[1].endswith("m tall: is the unit of --align right?")
 
 
 def test_a_file_of_cameras_in_another_unit_is_told_by_the_people():
     made = scene()
-    on = Measurable(
-        poses_of(made.poses, made.joints), find_joints(made.joints), made.rig, "nobody asks"
-    )
+    on = people_seen()
     known = known_cameras(made.rig)
     assert not find_placement(on, WorldConfig(cameras=known, unit="m")).world.axes_unmet
     far = known_cameras(made.rig.scale(1000, "m"))
     unmet = find_placement(on, WorldConfig(cameras=far, unit="m")).world.axes_unmet
-    assert "--world: expected lengths in m, found people" in unmet
+    assert "--world: expected lengths in its unit, found people" in unmet
 
 
 def place(rig: CameraRig, rotation: np.ndarray, centres: np.ndarray) -> CameraRig:
@@ -225,10 +237,7 @@ def test_an_alignment_that_contradicts_is_left_out_and_said():
 
 def placed_by_landmarks(places: np.ndarray, stated: np.ndarray) -> World:
     """The world of people among landmarks, or of what there is instead."""
-    made = scene()
-    on = Measurable(
-        poses_of(made.poses, made.joints), find_joints(made.joints), made.rig, "nobody asks"
-    )
+    on = people_seen()
     marks = landmarks(places, stated)
     return find_placement(on, WorldConfig(landmarks=marks)).world
 
@@ -240,9 +249,12 @@ def placed_by_landmarks(places: np.ndarray, stated: np.ndarray) -> World:
         ({"forward": "nose-tail"}, "--forward nose-tail: expected two joints"),
         (
             {"forward": "left_hip-right_hip", "axes": "first-camera"},
-            "--forward: expected a world on the floor",
+            "--forward: expected a world on the floor, found another",
         ),
-        ({"cues": (ScaleCue("height", 1.7, of="anna"),)}, "the number of an individual"),
+        (
+            {"cues": (ScaleCue("height", 1.7, of="anna"),)},
+            "expected an individual, one of 0, 1, ...",
+        ),
         ({"cues": (ScaleCue("height", 1.7), ScaleCue("height", 1.8))}, "each length once"),
         (
             {"cues": (ScaleCue("height", 1.7, 0, "1"), ScaleCue("height", 1.8, 0, "individual_1"))},
@@ -262,24 +274,27 @@ def test_unknown_names_are_refused_before_the_work(asked, says):
 
 def test_individuals_may_be_called_as_results_call_them():
     check_world(WorldConfig(cues=(ScaleCue("height", 1.7, of="individual_1"),)), recording(), 2)
-    with pytest.raises(MismatchError, match="0 to 1"):
+    with pytest.raises(MismatchError, match="one of 0, 1"):
         check_world(WorldConfig(cues=(ScaleCue("height", 1.7, of="individual_2"),)), recording(), 2)
 
 
-def test_the_floor_is_below_what_was_seen_and_of_rigs_that_are_determined():
+def test_the_floor_is_below_triangulated_points_and_of_rigs_that_are_determined():
     made = scene()
-    joints = find_joints(made.joints)
+    joints, rig = find_joints(made.joints), level_rig()
     seen = poses_of(made.poses, made.joints)
-    lifted = replace(seen, positions=seen.positions + 0.1, raw=seen.positions)
-    plain, floor = (
-        look_for_floor(each, joints, level_rig(), "well determined", FloorConfig())
-        for each in (seen, lifted)
-    )
-    assert isinstance(plain, Floor)
-    assert isinstance(floor, Floor)
-    np.testing.assert_array_equal(floor.point, plain.point)
-    found = look_for_floor(seen, joints, level_rig(), "not determined", FloorConfig())
-    assert found == "the rig is not determined"
+    source = seen.source.copy()
+    source[::2] = POINT_SOURCES.index("interpolated")
+    lower = seen.positions - np.where(source[..., None] == source[0, 0, 0], 5.0, 0.0)
+    guessed = replace(seen, positions=lower, source=source)
+    half = seen.select(frames=np.arange(1, len(seen.frames), 2))
+    floors = [
+        measurable(each, joints, rig, exact(rig), WorldConfig(), verdict="usable").floor
+        for each in (guessed, half)
+    ]
+    assert isinstance(floors[0], Floor)
+    np.testing.assert_allclose(floors[0].point, floors[1].point)
+    on = measurable(seen, joints, rig, exact(rig), WorldConfig(), verdict="not determined")
+    assert on.floor == "the rig is not determined"
 
 
 def test_files_say_what_the_coordinates_are_and_it_is_read_back():
@@ -297,14 +312,12 @@ def test_a_known_length_scales_a_world_of_cameras_whose_unit_nobody_knows():
     target = move_rig(made.rig, BY, "arbitrary", World())
     known = known_cameras(target)
     cue = ScaleCue("camera distance", 3.0, 0.0, "-".join(target.names[:2]))
-    on = Measurable(
-        poses_of(made.poses, made.joints), find_joints(made.joints), made.rig, "nobody asks"
-    )
+    on = people_seen()
     placement = find_placement(on, WorldConfig(cameras=known, cues=(cue,)))
     found = move_rig(made.rig, placement.by, placement.unit, placement.world)
     assert found.unit == "m"
     assert found.world.kind == "file"
-    assert "axes and origin are those of the file, lengths are not" in found.world.remarks[1]
+    assert "axes and origin are those of the file; lengths follow" in found.world.remarks[1]
     assert np.linalg.norm(found.centres[1] - found.centres[0]) == pytest.approx(3.0)
     np.testing.assert_allclose(found.rotation, target.rotation, atol=1e-9)
     ratio = 3.0 / np.linalg.norm(target.centres[1] - target.centres[0])
@@ -317,14 +330,13 @@ def test_a_known_length_scales_a_world_of_cameras_whose_unit_nobody_knows():
         ({"axes": "floor"}, "--world floor: expected subjects that show a floor, found that", ""),
         ({"axes": "cam9"}, "--world cam9: expected a camera of the rig", ""),
         ({"forward": "left_hip-right_hip"}, "--forward left_hip-right_hip: expected subjects", ""),
-        ({"cues": (ScaleCue("height", 1.7),)}, "", "--height: expected somebody who stands"),
+        ({"cues": (ScaleCue("height", 1.7),)}, "", "--height: expected someone who stands"),
         ({"cues": (ScaleCue("camera distance", 3, 0, "cam1-cam9"),)}, "", "found 'cam9'"),
     ],
 )
 def test_what_a_recording_does_not_show_is_left_out_and_said(asked, axes, scale):
     made = scene()
-    poses, joints = poses_of(made.poses, made.joints), find_joints(made.joints)
-    placement = find_placement(Measurable(poses, joints, made.rig, "seated"), WorldConfig(**asked))
+    placement = find_placement(people_seen(), WorldConfig(**asked))
     assert (placement.world.kind, placement.world.camera) == ("camera", made.rig.names[0])
     assert placement.unit == "arbitrary"
     for found, says in ((placement.world.axes_unmet, axes), (placement.world.scale_unmet, scale)):

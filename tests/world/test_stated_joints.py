@@ -15,8 +15,8 @@ from mocap_calib.kinematics.definitions import define
 from mocap_calib.recording.joints import fit_vocabulary
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Recording
-from mocap_calib.world.asked import joint_pair
 from mocap_calib.world.body import find_joints, joints_of_recording, stated_joints
+from mocap_calib.world.requested import joint_pair
 
 SEEN = scene().files[0].keypoints
 COLUMNS = [scene().joints.index(name) for name in SEEN]

@@ -1,0 +1,329 @@
+"""Align a rig to a known world, by its cameras or by landmarks that cameras see.
+
+Stated places are compared with those of the rig, after the best similarity, in standard deviations
+of all that may move either: measurements by hand, clicks in images, and the rig itself.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_calib.config import KnownCamera, Landmark, WorldConfig
+from mocap_calib.errors import DegenerateError, MismatchError, suggest
+from mocap_calib.geometry.alignment import align_by_similarity, rig_size
+from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.recording.epochs import views_by_camera
+from mocap_calib.results import RigCovariance
+from mocap_calib.rig.triangulate import triangulate_pixels
+from mocap_calib.types import METRES, Bools, Camera, CameraRig, Floats, MeasuredLandmark
+from mocap_calib.verdict.evaluation import with_axes
+from mocap_calib.wording import count, one_line
+from mocap_calib.world.moving import Similarity
+
+_MIRROR = np.array([-1.0, 1.0, 1.0])
+LEAST_LANDMARKS = 3  # that determine a similarity
+
+
+@dataclass(frozen=True)
+class _Stated:
+    """Cameras or landmarks of a rig, and the poses or places that a user states for them.
+
+    option: that states them, and unit: of stated lengths. things: "cameras" or "landmarks".
+    found, known: `[N, point, 3]` in the rig and as stated: the place, then the ends of a camera's
+        axes. sigma: `[N]` standard deviation of the places found, in the unit of the rig.
+    turned: `[N, 3, 3]` from the rig's axes to the stated ones, by each camera alone; none of
+        landmarks. turn_sigma: `[N]` standard deviation in radians.
+    """
+
+    option: str
+    unit: str
+    things: str
+    names: tuple[str, ...]
+    found: Floats
+    known: Floats
+    sigma: Floats
+    turned: Floats | None = None
+    turn_sigma: Floats | float = 0.0
+
+    def fit(self, some: Bools, config: WorldConfig) -> "_Fit":
+        """Return the best similarity of those that a mask `[N]` leaves."""
+        found, known = self.found[some], self.known[some]
+        by = Similarity(*align_by_similarity(found.reshape(-1, 3), known.reshape(-1, 3)))
+        distance = np.linalg.norm(by.apply(found[:, 0]) - known[:, 0], axis=1)
+        stated = config.stated_sigma * _extent(known[:, 0])
+        off = distance / np.hypot(stated, by.scale * self.sigma[some])
+        misfit, turn, numbers = _rms(off), np.zeros(len(found)), 3 * len(found)
+        if self.turned is not None:
+            turn = angle_between(self.turned[some], by.rotation)
+            turn_off = turn / np.hypot(config.turn_sigma, self.turn_sigma)[some]
+            misfit, off, numbers = (
+                max(misfit, _rms(turn_off)),
+                np.maximum(off, turn_off),
+                2 * numbers,
+            )
+        free = max(numbers - 7, 1)  # the similarity follows 7 of the numbers
+        return _Fit(by, distance, turn, off, float(np.sqrt(numbers / free) * misfit))
+
+    def is_mirrored(self, config: WorldConfig) -> bool:
+        """Return whether the mirror image of the places fits, and they themselves do not."""
+        places = replace(self, found=self.found[:, :1], known=self.known[:, :1], turned=None)
+        mirrored = replace(places, found=places.found * _MIRROR)
+        everything = np.ones(len(self.names), dtype=bool)
+        plain, other = (each.fit(everything, config).misfit for each in (places, mirrored))
+        return other <= config.most_misfit < plain
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A similarity, and how far things `[N]` are from where they are stated after it.
+
+    distance: in the unit of the stated world. turn: angle in radians, 0 of landmarks.
+    off: in standard deviations. misfit: all of these in one number, about 1 for errors as allowed.
+    """
+
+    by: Similarity
+    distance: Floats
+    turn: Floats
+    off: Floats
+    misfit: float
+
+
+def align_to_cameras(
+    rig: CameraRig, config: WorldConfig, covariance: RigCovariance
+) -> tuple[Similarity, float, str]:
+    """Return the similarity to the world of known cameras, its relative error of scale, a remark.
+
+    The remark says how well the cameras fit. covariance: of the rig.
+
+    Raises MismatchError where fewer than two cameras are in both, and where their stated poses
+    differ by more than errors can.
+    """
+    views = {name: own[0] for name, own in views_by_camera(rig.names).items()}
+    target = stated_rig(config.cameras, list(views))
+    order = np.array([views[name] for name in target.names])
+    own = rig.select(order)
+    stated = _Stated(
+        option="--world",
+        unit=config.unit,
+        things="cameras",
+        names=target.names,
+        found=_axes_of_each(own),
+        known=_axes_of_each(target),
+        sigma=(covariance.size * covariance.centre_sigma)[order],
+        turned=np.swapaxes(target.rotation, 1, 2) @ own.rotation,
+        turn_sigma=covariance.rotation_sigma[order],
+    )
+    fit = _fit_or_refuse(stated, config)
+    remark = (
+        f"aligned to {count(len(order), 'camera')} of known pose, RMS distance "
+        f"{_describe_distance(stated, fit)}, RMS angle {np.degrees(_rms(fit.turn)):.1f} deg"
+    )
+    return fit.by, _scale_sigma(fit.by, stated), remark
+
+
+def _axes_of_each(rig: CameraRig) -> Floats:
+    """Return the centre of each camera and points on its axes, `[view, 7, 3]`."""
+    centres, ahead, behind = np.split(with_axes(rig), [len(rig), 4 * len(rig)])
+    parts = (part.reshape(len(rig), -1, 3) for part in (centres, ahead, behind))
+    return np.concatenate(list(parts), axis=1)
+
+
+def stated_rig(known: Sequence[KnownCamera], names: Sequence[str]) -> CameraRig:
+    """Return the known cameras that have one of these names.
+
+    Raises MismatchError where they are fewer than two, or all in one place.
+    """
+    shared = [camera for camera in known if camera.name in names]
+    if len(shared) < 2:
+        found = ", ".join(camera.name for camera in shared) or "none"
+        raise MismatchError(
+            "--world: expected a file with at least two cameras of the recording "
+            f"({', '.join(names)}), found {found}; check their names"
+        )
+    rig = CameraRig(
+        cameras=tuple(Camera(camera.name, (0, 0), np.eye(3)) for camera in shared),
+        rotation=np.array([np.reshape(camera.rotation, (3, 3)) for camera in shared]),
+        translation=np.array([camera.translation for camera in shared]),
+    )
+    if rig_size(rig) <= 1e-9 * np.abs(rig.centres).max():
+        raise MismatchError(
+            "--world: expected a file whose cameras are in different places, found "
+            f"{', '.join(rig.names)} in one; give another"
+        )
+    return rig
+
+
+def align_to_landmarks(
+    rig: CameraRig,
+    landmarks: Sequence[Landmark],
+    config: WorldConfig,
+    covariance: RigCovariance,
+) -> tuple[Similarity, float, tuple[MeasuredLandmark, ...]]:
+    """Return the similarity to the world of landmarks, its relative error of scale, the landmarks.
+
+    The landmarks are triangulated; each is returned with its distance from its stated place.
+
+    covariance: of the rig.
+
+    Raises MismatchError for landmarks that are too few or on a line, and where their stated places
+    differ by more than errors can.
+    """
+    names = tuple(dict.fromkeys(each.name for each in landmarks))
+    places = {each.name: each.position for each in landmarks}
+    known = np.array([places[name] for name in names]).reshape(-1, 3)
+    views = {name: own[0] for name, own in views_by_camera(rig.names).items()}
+    pixels = np.full((len(rig), len(names), 2), np.nan)
+    for each in landmarks:
+        if each.camera in views:
+            pixels[views[each.camera], names.index(each.name)] = each.pixel
+    found, _ = triangulate_pixels(rig, pixels, np.ones(pixels.shape[:-1]))
+    seen = np.isfinite(found[:, 0])
+    _check_landmarks(known[seen], len(names), config)
+    _check_landmarks(found[seen], len(names), config)
+    detected = np.isfinite(pixels[:, seen, 0])
+    stated = _Stated(
+        option="--align",
+        unit="m",
+        things="landmarks",
+        names=tuple(one_line(name) for name, there in zip(names, seen, strict=True) if there),
+        found=found[seen][:, None],
+        known=known[seen][:, None],
+        sigma=_sigmas_of_points(rig, found[seen], detected, covariance, config),
+    )
+    by = _fit_or_refuse(stated, config).by
+    away = np.linalg.norm(by.apply(found) - known, axis=1)
+    measured = tuple(map(MeasuredLandmark, names, away.tolist()))
+    return by, _scale_sigma(by, stated), measured
+
+
+def describe_alignment(landmarks: Sequence[MeasuredLandmark]) -> str:
+    """Return how well landmarks fit, in words."""
+    away = np.array([each.distance for each in landmarks])
+    away = away[np.isfinite(away)]
+    return f"aligned to {count(len(away), 'landmark')}, RMS distance {1e3 * _rms(away):.0f} mm"
+
+
+def check_landmarks(
+    landmarks: Sequence[Landmark], cameras: Sequence[str], config: WorldConfig
+) -> None:
+    """Compare landmarks with the cameras of a recording, before it is calibrated.
+
+    Raises MismatchError for unknown cameras, and landmarks that are too few or on a line.
+    """
+    strangers = {each.camera for each in landmarks} - set(cameras)
+    if strangers:
+        raise MismatchError(
+            f"--align: expected cameras of the recording ({', '.join(cameras)}), "
+            f"found {min(strangers)!r}; {suggest(min(strangers), cameras)}"
+        )
+    seen = Counter(each.name for each in landmarks)
+    places = {each.name: each.position for each in landmarks if seen[each.name] >= 2}
+    _check_landmarks(np.array(list(places.values())), len(seen), config)
+
+
+def _check_landmarks(points: Floats, number: int, config: WorldConfig) -> None:
+    """Raise MismatchError for landmarks `[N, 3]` that are too few, or on a line.
+
+    number: of all landmarks, also of those that fewer than two cameras see.
+    """
+    if len(points) < LEAST_LANDMARKS:
+        raise MismatchError(
+            f"--align: expected {LEAST_LANDMARKS} landmarks that two cameras see, "
+            f"found {len(points)} of {number}; add observations"
+        )
+    extent = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    if extent[1] <= config.least_extent * extent[0]:  # the rotation about the line is open
+        raise MismatchError(
+            "--align: expected landmarks that are not on a line, found all of them on one; "
+            "add one beside it"
+        )
+
+
+def _fit_or_refuse(stated: _Stated, config: WorldConfig) -> _Fit:
+    """Return the fit of all things. Raises MismatchError where it is worse than errors can be."""
+    everything = np.ones(len(stated.names), dtype=bool)
+    fit = stated.fit(everything, config)
+    if fit.misfit <= config.most_misfit:
+        return fit
+    if stated.is_mirrored(config):
+        raise MismatchError(
+            f"{stated.option}: expected {stated.things} in right-handed axes, found that their "
+            "mirror image fits the recording; exchange two axes of the file, or negate one"
+        )
+    least = LEAST_LANDMARKS if stated.turned is None else 2
+    culprit = None
+    if len(everything) > least:
+        culprit = find_culprit(
+            lambda some: stated.fit(some, config).misfit <= config.most_misfit, len(everything)
+        )
+    worst, advice = int(np.argmax(fit.off)), "correct the file"
+    if culprit is not None:
+        worst = culprit
+        advice = f"correct or leave out {stated.names[worst]}, without which the others fit"
+    turn = "" if stated.turned is None else f" and {np.degrees(_rms(fit.turn)):.0f} deg"
+    raise MismatchError(
+        f"{stated.option}: expected {stated.things} where the recording shows them, found them "
+        f"{_describe_distance(stated, fit)}{turn} from there (RMS), most of all "
+        f"{stated.names[worst]}; {advice}"
+    )
+
+
+def find_culprit(agree: Callable[[Bools], bool], number: int) -> int | None:
+    """Return the index of the one thing without which the others agree, None unless it is one.
+
+    agree: of those that a mask `[N]` leaves.
+    """
+    found = []
+    for index in range(number):
+        try:
+            if agree(np.arange(number) != index):
+                found.append(index)
+        except DegenerateError:
+            continue  # the others are all in one place
+    return found[0] if len(found) == 1 else None
+
+
+def _describe_distance(stated: _Stated, fit: _Fit) -> str:
+    """Return the RMS distance in words: in millimetres, or in percent of the rig's size."""
+    distance = _rms(fit.distance)
+    if stated.unit in METRES:
+        return f"{1e3 * METRES[stated.unit] * distance:.0f} mm"
+    return f"{100 * distance / _extent(stated.known[:, 0]):.1f} % of the rig's size"
+
+
+def _sigmas_of_points(
+    rig: CameraRig, points: Floats, seen: Bools, covariance: RigCovariance, config: WorldConfig
+) -> Floats:
+    """Return the standard deviations `[N]` of points `[N, 3]`, in the unit of the rig.
+
+    To first order, from errors of clicked pixels and of the rig. seen: `[view, N]` in which views.
+    """
+    offset = points - rig.centres[:, None]
+    far = np.linalg.norm(offset, axis=-1)
+    focal = np.array([camera.matrix[0, 0] for camera in rig.cameras])
+    angle = np.hypot(config.landmark_pixels / focal, covariance.rotation_sigma)[:, None]
+    shift = (covariance.size * covariance.centre_sigma)[:, None]
+    weight = np.where(seen, 1 / ((angle * far) ** 2 + shift**2), 0.0)
+    along = offset / far[..., None]
+    normal = np.einsum("vn,vnij->nij", weight, np.eye(3) - along[..., None] * along[..., None, :])
+    return np.asarray(np.sqrt(np.trace(np.linalg.pinv(normal), axis1=-2, axis2=-1)))
+
+
+def _scale_sigma(by: Similarity, stated: _Stated) -> float:
+    """Return the relative standard deviation of the scale of an alignment."""
+    known = stated.known[:, 0]
+    free = max(3 * len(known) - 7, 1)
+    square = ((by.apply(stated.found[:, 0]) - known) ** 2).sum() / free
+    return float(np.sqrt(square / len(known)) / _extent(known))
+
+
+def _extent(points: Floats) -> float:
+    """Return the RMS distance of points `[N, 3]` from their middle."""
+    return _rms(np.linalg.norm(points - points.mean(0), axis=1))
+
+
+def _rms(values: Floats) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt((values**2).mean()))
