@@ -123,7 +123,7 @@ def sphere(pair: LiftedPair, identities: Bools | None = None) -> Found | None:
             best, most = (rotation, weight), likelihood
     if best is None:
         return None
-    return _with_translation(pair, best[0], mutual_best(best[1], least=0.0) & pair.possible)
+    return _with_translation(pair, best[0], mutual_best(best[1]) & pair.possible)
 
 
 def adjust(pair: LiftedPair, found: Found) -> Found:

@@ -78,14 +78,14 @@ class PairwiseConfig:
     separation_deg: float = 15.0  # between hypotheses
     # five-point RANSAC where identities are known
     track_pairs: int = 9  # at most; of tracks in both views
-    five_point_matches: int = 60  # drawn from those of one individual
+    five_point_draws: int = 3  # each with half the tolerance of the one before,
+    five_point_matches: int = 60  # so many matches each, of one individual
     # affinity
     pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body ...
     pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
     centre_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
     unlifted_affinity: float = 0.3  # how well a body agrees that was not lifted, beside others
-    least_affinity: float = 0.1  # of a match
     # refinement
     points: int = 4000  # joints it looks at
     rounds: int = 2  # of matching and refining
@@ -146,8 +146,8 @@ class AveragingConfig:
     """From the pairs to groups of cameras, and to a rig.
 
     least_score: a pair below it is not used; a camera that has only such pairs is left out.
-    weak_score: below it the user is warned. Simulated views of different times reach 0.53, views
-        of one time 0.8 and more.
+    weak_score: below it the user is warned. Simulated views of different times reach 0.60, views
+        of one time 0.84 and more.
     breaks: a pair left with less of its weight than this contradicts the others.
     rotation_scale_deg, translation_scale: a pair this far from the rig counts half; the
         translation as a share of the pair's baseline.
@@ -164,7 +164,7 @@ class AveragingConfig:
     """
 
     least_score: float = 0.12
-    weak_score: float = 0.55
+    weak_score: float = 0.62
     breaks: float = 0.25
     rotation_scale_deg: float = 4.0
     translation_scale: float = 0.15

@@ -20,14 +20,14 @@ from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
 
 
-def mutual_best(affinity: Floats, *, least: float) -> Bools:
-    """Return where an affinity is the largest of its row and of its column, and above `least`.
+def mutual_best(affinity: Floats) -> Bools:
+    """Return where an affinity is the largest of its row and of its column, and above 0.
 
     Of equal ones the first counts: no detection is matched twice. affinity: `[..., I, J]`.
     """
     best_of_row = affinity == affinity.max(-1, keepdims=True)
     best_of_column = affinity == affinity.max(-2, keepdims=True)
-    matched: Bools = (affinity > least) & best_of_row & best_of_column
+    matched: Bools = (affinity > 0) & best_of_row & best_of_column
     for axis in (-1, -2):
         if (matched.sum(axis) > 1).any():
             matched &= matched.cumsum(axis) == 1

@@ -50,17 +50,18 @@ def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseCon
 
     The pair score is the share of the possible matches that are made, each weighted by the share
     of its joints that fit the epipolar geometry, x the share of joints in front of both cameras
-    x the mean agreement of the lifted poses.
+    x the square root of the mean agreement of the lifted poses, by which bodies count as much as
+    in the affinity of a match: rays are measured, bodies are predicted from the same keypoints.
     """
     rotation, translation = hypotheses.rotation, hypotheses.translation
     affinity, fit, pose = match_affinity(pair, rotation, translation, config)
-    matched = mutual_best(affinity, least=config.least_affinity)
+    matched = mutual_best(affinity)
     in_front = np.zeros(len(hypotheses))
     of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
     share_in_front(*contiguous(rotation, translation, *of_views, matched), in_front)
     explained = (matched * fit).sum((1, 2, 3)) / max(_possible_matches(pair), 1)
     agreement = (matched * pose).sum((1, 2, 3)) / np.maximum(matched.sum((1, 2, 3)), 1)
-    return Scored(hypotheses, matched, explained * in_front * agreement, in_front)
+    return Scored(hypotheses, matched, explained * in_front * np.sqrt(agreement), in_front)
 
 
 def _possible_matches(pair: ViewPair) -> int:

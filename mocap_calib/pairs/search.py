@@ -139,7 +139,7 @@ def _align_bodies(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig
     Centres weigh less the farther they are: their error grows with the distance.
     """
     agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
-    matched = mutual_best(agreement, least=config.least_affinity)
+    matched = mutual_best(agreement)
     rotation, translation = hypotheses.rotation.copy(), hypotheses.translation.copy()
     for m, of_one in enumerate(matched):
         if not of_one.any():
@@ -186,12 +186,19 @@ def _pairs_of_tracks(pair: ViewPair) -> list[Ints]:
 def _from_five_points(
     pair: ViewPair, matches: Ints, config: PairwiseConfig, rng: np.random.Generator
 ) -> Hypotheses:
-    """Run five-point RANSAC (Nister 2004) on matches `[match, 3]` of one individual."""
-    drawn = np.sort(rng.permutation(len(matches))[: config.five_point_matches])
-    frame, i, j = matches[drawn].T
-    both = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
-    threshold = config.inlier / float(np.median(body_sizes_per_radian(pair)[frame, i, j]))
-    found = five_point(pair.a.rays[frame, i][both], pair.b.rays[frame, j][both], threshold)
+    """Run five-point RANSAC (Nister 2004) on matches `[match, 3]` of one individual.
+
+    Each of `config.five_point_draws` draws other matches, and halves the tolerance: a wide one
+    finds the noisy pose, a narrow one is not content with outliers that fit by chance.
+    """
+    found: list[tuple[Floats, Floats]] = []
+    for halvings in range(config.five_point_draws):
+        drawn = np.sort(rng.permutation(len(matches))[: config.five_point_matches])
+        frame, i, j = matches[drawn].T
+        both = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
+        tolerance = config.inlier / float(np.median(body_sizes_per_radian(pair)[frame, i, j]))
+        rays_a, rays_b = pair.a.rays[frame, i][both], pair.b.rays[frame, j][both]
+        found += five_point(rays_a, rays_b, tolerance / 2**halvings)
     return Hypotheses(
         rotation=np.reshape([rotation for rotation, _ in found], (-1, 3, 3)),
         translation=np.reshape([translation for _, translation in found], (-1, 3)),

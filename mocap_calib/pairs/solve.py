@@ -2,7 +2,7 @@
 
 Every possible match of two lifted bodies gives a rotation in closed form, and five-point RANSAC
 gives more where identities are known. All are scored on all frames at once; the best hypotheses
-are refined by turns of matching (Sinkhorn) and robust least squares on rays. The one with the
+are refined by turns of matching and robust least squares on rays. The one with the
 best score is the answer, the others are its alternatives, which a third view may speak for.
 """
 

@@ -189,7 +189,7 @@ def match_by_pose(rays_a: Floats, rays_b: Floats, pose: RelativePose, threshold:
     rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
     threshold: Sampson's angle in radians, below which a joint agrees with the pose.
     """
-    return mutual_best(_share(*_inliers(rays_a, rays_b, pose, threshold)), least=0.0)
+    return mutual_best(_share(*_inliers(rays_a, rays_b, pose, threshold)))
 
 
 def _inliers(
@@ -219,7 +219,7 @@ def _count_inliers(problem: _Problem, pose: RelativePose) -> float:
     """Return how many joints of right matches are inliers."""
     inliers, seen = _inliers(problem.rays_a, problem.rays_b, pose, problem.threshold)
     share = _share(inliers, seen)
-    right = mutual_best(share, least=0.0) & (share >= problem.config.least_fit)
+    right = mutual_best(share) & (share >= problem.config.least_fit)
     return float((inliers * right).sum())
 
 

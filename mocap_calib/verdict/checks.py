@@ -281,7 +281,7 @@ CHECKS = (
     ),
     CheckKind(
         "pair score",
-        "5 times the share that the best pair of a camera lacks of a score of 0.55: agreement of "
+        "5 times the share that the best pair of a camera lacks of a score of 0.62: agreement of "
         "lifted bodies",
         "{camera}: its bodies do not look like those of any other camera",
         "check that its file belongs to this recording",

@@ -194,14 +194,14 @@ def test_distances_are_compared_where_joints_are_in_front_of_both_views():
 
 
 def test_the_unlike_stay_alone():
-    affinity = np.array([[0.9, 0.0], [0.0, 0.01]])
-    assert mutual_best(affinity, least=0.1).tolist() == [[True, False], [False, False]]
+    affinity = np.array([[0.9, 0.0], [0.0, 0.0]])
+    assert mutual_best(affinity).tolist() == [[True, False], [False, False]]
 
 
 def test_no_detection_is_matched_twice_where_affinities_tie():
     """As of a detection that a file has twice: its second row or column stays unmatched."""
     affinity = np.array([[0.9, 0.9, 0.1], [0.1, 0.1, 0.8], [0.1, 0.1, 0.8]])
-    matched = mutual_best(affinity, least=0.05)
+    matched = mutual_best(affinity)
     assert matched.tolist() == [[True, False, False], [False, False, True], [False] * 3]
-    both = mutual_best(np.full((4, 2, 2), 0.5), least=0.2)
+    both = mutual_best(np.full((4, 2, 2), 0.5))
     np.testing.assert_array_equal(both, np.tile([[True, False], [False, False]], (4, 1, 1)))

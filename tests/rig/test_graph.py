@@ -213,10 +213,10 @@ def test_a_pair_that_explains_nothing_keeps_the_only_hypothesis_it_has():
 def test_hypotheses_of_a_single_frame():
     """One frame of one person, six cameras, measured without the loops and with them.
 
-    The best hypothesis of a pair is 151 degrees off, the alternative that its loops confirm 39.
-    The rig: 153 degrees off without the loops, 13 with them.
+    The best hypothesis of a pair is 169 degrees off, the alternative that its loops confirm 10.
+    The rig: 176 degrees off without the loops, 14 with them.
     """
-    changes = {"people": 1, "frames": 1, "cameras": 6, "seed": 57}
+    changes = {"people": 1, "frames": 1, "cameras": 6, "seed": 111}
     rig = scene(**changes).rig
     pairs = calibrate_pairs(
         recording(**changes),

@@ -27,7 +27,7 @@ const REPROJECTION = "Distance in the image between a detection and the 3D point
 const SCORE = "Share of the detections that are explained, times the share of joints in front of "
   + "both cameras, times how well the lifted bodies agree.";
 const HASH = "SHA-256 of the file: it is the same as long as the file is.";
-const GOOD_SCORE = "0.7 and more; below 0.55 a camera is called weak";
+const GOOD_SCORE = "0.7 and more; below 0.62 a camera is called weak";
 const SETTLED = "below 1° is well determined, below 3° usable, below 10° weak";
 
 /** By path within run.json; `*` stands for a number or a name. */
