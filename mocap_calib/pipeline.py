@@ -46,8 +46,7 @@ from mocap_calib.rig.observed import Observed, leave_out_underconstrained
 from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.training.device import on_device
 from mocap_calib.types import CameraRig, Mapper, Progress, Recording, silent
-from mocap_calib.verdict.conclusion import conclude
-from mocap_calib.verdict.verdict import judge
+from mocap_calib.verdict.verdict import conclude, judge
 from mocap_calib.world.place import place_result
 from mocap_calib.world.requested import check_world
 

@@ -10,18 +10,35 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib.compute.clock import Clock
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.pairs.solve import in_recording
 from mocap_calib.recording.corrections import Cropped
-from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.results import CalibrationResult, Cause, Check, Clocks, Fault, GroupResult, Verdict
+from mocap_calib.results import (
+    Adjusted,
+    Averaged,
+    CalibrationResult,
+    Cause,
+    Check,
+    Clocks,
+    Fault,
+    GroupResult,
+    LiftedPoses,
+    Matches,
+    TimeOffsets,
+    Verdict,
+)
+from mocap_calib.rig.observed import Observed
 from mocap_calib.rig.tracks import labelled_frames
-from mocap_calib.types import Bools, EstimatedCamera
-from mocap_calib.verdict.checks import OPEN_DEG, kind_of
-from mocap_calib.verdict.uncertainty import with_uncertain_corner
+from mocap_calib.rig.triangulate import triangulate
+from mocap_calib.types import Bools, CameraRig, EstimatedCamera, Progress, Sample, silent
+from mocap_calib.verdict.checks import OPEN_DEG, check_rig, kind_of
+from mocap_calib.verdict.explained import report_frames
+from mocap_calib.verdict.uncertainty import assess_uncertainty, with_uncertain_corner
 from mocap_calib.wording import count
 
 _HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected
-_FRAMES = 300  # that are looked at for a remedy
 _FEW_FRAMES = 30
 _FACING_DEG = 150.0  # between the viewing directions of cameras that face each other
 
@@ -74,6 +91,72 @@ def expected_error(names: Sequence[str], causes: Sequence[Cause]) -> float:
 def _own(name: str) -> str:
     """Return the name of a camera without that of its epoch."""
     return name.partition(EPOCH_MARK)[0]
+
+
+def conclude(
+    observed: Observed,
+    averaged: Averaged,
+    adjusted: Adjusted,
+    matches: Matches,
+    offsets: TimeOffsets,
+    *,
+    config: Config,
+    clock: Clock,
+    progress: Progress,
+) -> GroupResult:
+    """Assess an adjusted rig and triangulate the bodies; return all that was found.
+
+    matches: labels in all frames. offsets: of the clocks, with which the recording and the sample
+        were made. clock: its stages, and those of before, are returned.
+    """
+    recording, sample, rig = observed.recording, observed.sample, adjusted.rig
+    with clock("uncertainty"):
+        sampled = matches.select(frames=observed.sample_frames, instances=sample.positions.shape[2])
+        uncertainty = assess_uncertainty(sample, rig, sampled, config)
+    with clock("triangulate"):
+        poses = triangulate(recording, rig, matches, config.triangulate, progress=progress)
+    group = GroupResult(
+        recording=recording,
+        pairs=in_recording(observed.pairs, observed.sample_frames),
+        averaged=averaged,
+        adjusted=adjusted,
+        matches=matches,
+        uncertainty=uncertainty,
+        poses=poses,
+        time_offsets=offsets,
+    )
+    with clock("verdict"):
+        verdict = assess(group, check_rig(group, config), config)
+    return replace(group, assessment=verdict, seconds=clock.seconds)
+
+
+@single_threaded_libraries()
+def conclude_without_pairs(
+    sample: Sample,
+    lifted: LiftedPoses,
+    rig: CameraRig,
+    adjusted: Adjusted,
+    config: Config,
+) -> CalibrationResult:
+    """Return what `conclude` finds of the frames of a sample alone, where no pairs are known.
+
+    rig: that was adjusted.
+    """
+    none = np.zeros(0)
+    group = conclude(
+        Observed(sample, np.arange(len(sample.frames)), sample, lifted, pairs=()),
+        Averaged(rig, loop_error=none, translation_error=none, weight=none),
+        adjusted,
+        adjusted.matches,
+        TimeOffsets.unknown(len(rig)),
+        config=config,
+        clock=Clock(),
+        progress=silent,
+    )
+    clocks = Clocks.of_one(sample)
+    return judge(
+        CalibrationResult((group,), left_out=(), unused_pairs=(), config=config, clocks=clocks)
+    )
 
 
 # --- causes
@@ -183,8 +266,7 @@ def _with_estimated_crops(
 def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
     """Return the group that names outlier cameras only where the others determine them.
 
-    Where a rig is not determined no camera is named, and where most cameras are uncertain or half
-    of them contradict the others none is inconsistent.
+    None of a rig that is not determined, most cameras of which are uncertain, or half inconsistent.
     """
     none, known = np.zeros(len(group.rig), dtype=bool), group.uncertainty
     usual = np.rad2deg(np.median(known.covariance.rotation_sigma))
@@ -216,8 +298,7 @@ def _remedy(group: GroupResult, worst: int) -> str:
 
 def _partners(group: GroupResult, view: int) -> Bools:
     """Return `[view]` which others see an individual in the same frame as a view does."""
-    labels = group.matches.labels
-    labels = labels[:, evenly_spaced(np.arange(labels.shape[1]), _FRAMES)]
+    labels = group.matches.labels[:, report_frames(group.recording)]
     individuals = range(group.matches.individuals)
     sees = np.stack([(labels == each).any(-1) for each in individuals])  # [individual, view, frame]
     together = np.asarray((sees & sees[:, view : view + 1]).any((0, 2)))
@@ -234,7 +315,7 @@ def _face(group: GroupResult, first: int, second: int) -> bool:
 def _stands_still(group: GroupResult) -> bool:
     """Return whether bodies move by less than their own size in all images."""
     positions, labels = group.recording.positions, group.matches.labels
-    frames = evenly_spaced(np.arange(labels.shape[1]), _FRAMES)
+    frames = report_frames(group.recording)
     moves: list[float] = []
     for seen, label in zip(positions, labels, strict=True):
         for individual in range(group.matches.individuals):

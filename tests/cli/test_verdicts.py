@@ -14,7 +14,7 @@ from mocap_calib.job import steps
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.report import rig_report
 from mocap_calib.results import VERDICTS, CalibrationResult, Cause, Verdict
-from mocap_calib.verdict import conclusion
+from mocap_calib.verdict import verdict
 from mocap_calib.world.moving import Similarity, move_group
 from mocap_calib_cli.commands import adjust, batch, run
 from mocap_calib_cli.main import group
@@ -253,10 +253,10 @@ def test_adjust_tells_errors_and_verdict_as_run_does(start, found, tmp_path):
 
 
 def test_adjust_ends_as_run_does(start, monkeypatch, tmp_path):
-    conclude = conclusion.conclude_without_pairs
+    conclude = verdict.conclude_without_pairs
     for options, expected in (((), 1), (("--accept", "not-determined"), 0)):
         monkeypatch.setattr(
-            conclusion,
+            verdict,
             "conclude_without_pairs",
             lambda *args, **kwargs: judged(conclude(*args, **kwargs), "not determined"),
         )

@@ -44,7 +44,7 @@ def command(
     from mocap_calib.identities.track import finalise_identities
     from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.rig.associate import label_all_frames
-    from mocap_calib.verdict.conclusion import conclude_without_pairs
+    from mocap_calib.verdict.verdict import conclude_without_pairs
     from mocap_calib_cli import inputs, outputs, verdicts
     from mocap_calib_cli.progress import Reporter
 
