@@ -1,21 +1,24 @@
-"""Adjust a rig, and match by it in turns, from one start or from several."""
+"""Adjust a rig and match by it in turns, from one start or several; measure how well it fits."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.fit import fit_equally_well, measure_fit
 from mocap_calib.adjust.problem import choose_problem, free_poses, solve
 from mocap_calib.adjust.residuals import State
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.config import Config, MatchingConfig, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import with_size_of
+from mocap_calib.geometry.lens import points_in_cameras, project_views
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.results import Adjusted, LiftedPoses, Matches
 from mocap_calib.rig.associate import associate, have_same_groups, label_single_subject
 from mocap_calib.rig.factorization import factorise
-from mocap_calib.types import CameraRig, Progress, Sample, silent
+from mocap_calib.rig.noise import view_residual
+from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
+from mocap_calib.rig.triangulate import triangulate_rays
+from mocap_calib.types import Bools, CameraRig, Floats, Progress, Sample, silent
 
 
 def adjust(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> CameraRig:
@@ -166,3 +169,142 @@ def _largest_turn_deg(first: CameraRig, second: CameraRig) -> float:
     """Return the largest angle between two rigs' rotations, taken relative to the first camera."""
     from_first = [rig.rotation @ rig.rotation[0].T for rig in (first, second)]
     return float(np.rad2deg(angle_between(*from_first).max()))
+
+
+# --- how well a rig fits what was seen
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well a rig fits what was seen.
+
+    misfit: RMS distance in pixels of all detections from the reprojected points, none counted for
+        more than a few usual distances.
+    angle: `[view]` median distance of the view's detections, in radians; good_angle: the distance
+        that a quarter of them is below.
+    noise: `[view]` robust standard deviation of one coordinate, in pixels.
+    perspective: `[view]` RMS in pixels of what no affine camera explains. Where it is far below
+        the noise, the camera might as well be infinitely far away: its distance follows from its
+        focal length alone.
+    """
+
+    misfit: float
+    angle: Floats
+    good_angle: Floats
+    noise: Floats
+    perspective: Floats
+
+
+def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Fit:
+    """Return how well the rig fits the matched detections in all frames of the sample."""
+    noise = view_residual(sample, rig, matches, config.triangulate)
+    seen, points, error = measure_distances(sample, rig, matches, noise, config)
+    counted = (seen.weight > 0) & np.isfinite(points[0])
+    # rays of two views meet nearly, whatever they show
+    several = counted & (counted.sum(0) >= min(3, len(rig)))
+    focal = np.array([camera.focal for camera in rig.cameras])
+    return Fit(
+        misfit=_misfit(error[counted], config.uncertainty.outlier_factor),
+        angle=_quantiles(error, several, 0.5) / focal,
+        good_angle=_quantiles(error, several, 0.25) / focal,
+        noise=noise * focal,
+        perspective=_perspective(rig, points, counted) * focal,
+    )
+
+
+def measure_distances(
+    sample: Sample, rig: CameraRig, matches: Matches, noise: Floats, config: Config
+) -> tuple[Tracks, Floats, Floats]:
+    """Return what is matched, the points that it is of, and how far apart the two are.
+
+    noise: `[view]` in radians. Points `[3, N]`; distances `[view, N]` in pixels, NaN = not known.
+    """
+    seen = gather_tracks(sample, matches, labelled_frames(matches))
+    # what does not fit is to be counted, not left out
+    all_rays = replace(config.triangulate, outlier=np.inf)
+    points, _ = triangulate_rays(rig, seen.rays, weight=seen.weight, noise=noise, config=all_rays)
+    return seen, points, np.linalg.norm(project_views(rig, points) - seen.pixels, axis=1)
+
+
+def fit_equally_well(first: Fit, second: Fit, config: UncertaintyConfig) -> bool:
+    """Return whether what was seen does not tell which of two rigs is right."""
+    better, worse = sorted((first.misfit, second.misfit))
+    return worse <= config.same_misfit * better
+
+
+def find_outlier_cameras(fit: Fit, config: UncertaintyConfig) -> Bools:
+    """Return the cameras `[view]` whose errors are several times those of the others.
+
+    They are out of step, were moved, or have other intrinsics than given. Of two cameras both
+    have the errors, so none is named. All errors of such a camera are large: where half of what a
+    camera detects is of nobody, the other half is as good as that of the others.
+    """
+    views = len(fit.angle)
+    if views <= 2:
+        return np.zeros(views, dtype=bool)
+    good = _times_others(fit.good_angle) > config.outlier_factor / 2
+    return np.asarray((_times_others(fit.angle) > config.outlier_factor) & good)
+
+
+def _times_others(values: Floats) -> Floats:
+    """Return each value `[view]` in medians of the others."""
+    others = [np.median(np.delete(values, view)) for view in range(len(values))]
+    return values / np.maximum(others, 1e-300)
+
+
+def find_weak_perspective(fit: Fit) -> Bools:
+    """Return the cameras `[view]` in whose images perspective drowns in the noise.
+
+    They are very far away for the size of what they see.
+    """
+    return fit.perspective < fit.noise
+
+
+def _misfit(error: Floats, limit: float) -> float:
+    """Return the RMS of errors, none counted for more than `limit` times their median.
+
+    error: `[N]`, NaN where a point is behind the camera, which counts as the largest.
+    """
+    most = limit * np.nanmedian(error)
+    error = np.minimum(np.nan_to_num(error, nan=np.inf), most)
+    return float(np.sqrt((error**2).mean()))
+
+
+def _quantiles(error: Floats, counted: Bools, share: float) -> Floats:
+    """Return a quantile `[view]` of the counted errors `[view, N]`, NaN where there is none.
+
+    An error of NaN, behind the camera, counts as the largest.
+    """
+    found = np.full(len(error), np.nan)
+    for view in np.flatnonzero(counted.any(1)):
+        in_view = error[view, counted[view]]
+        found[view] = np.quantile(np.nan_to_num(in_view, nan=np.inf), share, method="lower")
+    return found
+
+
+def _perspective(rig: CameraRig, points: Floats, counted: Bools) -> Floats:
+    """Return the RMS `[view]` in radians of what no affine camera explains of the images.
+
+    points: `[3, N]` in world coordinates; counted: `[view, N]`.
+    """
+    in_camera = points_in_cameras(rig, points)
+    return np.array(
+        [
+            _beyond_affine(points[:, seen].T, in_view[:, seen].T)
+            for seen, in_view in zip(counted, in_camera, strict=True)
+        ]
+    )
+
+
+def _beyond_affine(points: Floats, in_camera: Floats) -> float:
+    """Return the RMS distance in radians of images from those of the best affine camera.
+
+    points, in_camera: `[N, 3]` the same points in world coordinates and in the camera's frame.
+    """
+    if not len(points):
+        return 0.0
+    image = in_camera[:, :2] / in_camera[:, 2:]
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    affine = np.linalg.lstsq(homogeneous, image, rcond=None)[0]
+    residual = image - homogeneous @ affine
+    return float(np.sqrt((residual**2).sum(1).mean()))

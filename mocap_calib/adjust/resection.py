@@ -9,15 +9,18 @@ from functools import cached_property
 
 import numpy as np
 
-from mocap_calib.config import MovedConfig
+from mocap_calib.adjust.camera_fit import CameraPose
+from mocap_calib.config import Config, MovedConfig
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation, skew
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.kernels.resection import compare
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.rig.placed import PlacedCameras, choose_frames, place_bodies
+from mocap_calib.types import Bools, Floats, Ints, Sample
 
 _UNIT = 0.1  # radians: a tolerance that tells the nearest body from the others
 _RIDGE = 1e-9  # of the diagonal of normal equations
+_REFINED = 8  # poses that are refined, of those that single detections ask for
 
 
 @dataclass(frozen=True)
@@ -251,3 +254,35 @@ def _linearise(
         square=(weight * square).sum(-1),
         depth=depth,
     )
+
+
+def find_lost_camera(
+    sample: Sample, placed: PlacedCameras, view: int, config: Config
+) -> CameraPose | None:
+    """Return the pose of a camera whose detections match no body, None where nothing shows it.
+
+    placed: cameras that place bodies; the labels of the view (index) do not count.
+    """
+    settings = config.moved
+    frames = choose_frames(sample, settings.detections, config)
+    bodies = place_bodies(sample, placed, frames, config, without=view)
+    seen = sightings_of(sample.rays[view][frames], bodies, settings.least_joints)
+    if len(seen.frame) < settings.least_detections:
+        return None
+    given = CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
+    poses = given + propose_poses(given, seen, settings)
+    widest = settings.loose * float(np.median(seen.angular_size))
+    cost = np.nanmean(costs_of(poses, seen, widest, settings.least_joints), axis=1)
+    poses = poses[np.argsort(cost, kind="stable")[:_REFINED]]
+    poses = refine_poses(
+        poses,
+        seen,
+        counted=np.ones((len(poses), len(seen.frame)), dtype=bool),
+        tolerances=tuple(np.geomspace(widest, widest / 10, settings.steps).tolist()),
+        least_joints=settings.least_joints,
+    )
+    cost = costs_of(poses, seen, widest, settings.least_joints)
+    best = int(np.nanmean(cost, axis=1).argmin())
+    if (cost[best] < settings.explained).mean() < config.verify.least_matched:
+        return None
+    return CameraPose(poses.rotation[best], poses.translation[best])

@@ -9,8 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.adjust.fit import measure_distances
-from mocap_calib.adjust.refine import adjust_once
+from mocap_calib.adjust.refine import adjust_once, measure_distances
 from mocap_calib.config import Config, ExchangedConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.recording.corrections import Exchanged

@@ -14,9 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.adjust.fit import find_outlier_cameras, find_weak_perspective, measure_fit
 from mocap_calib.adjust.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
-from mocap_calib.adjust.refine import adjust_once
+from mocap_calib.adjust.refine import (
+    adjust_once,
+    find_outlier_cameras,
+    find_weak_perspective,
+    measure_fit,
+)
 from mocap_calib.adjust.rig_covariance import rig_covariance
 from mocap_calib.compute.parallel import do_both, single_threaded_libraries
 from mocap_calib.config import Config, IntrinsicsConfig, UncertaintyConfig

@@ -11,14 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import CameraFit, CameraPose
-from mocap_calib.adjust.refine import adjust_until_stable
-from mocap_calib.adjust.relocation import (
-    find_lost_camera,
+from mocap_calib.adjust.camera_fit import (
+    CameraFit,
+    CameraPose,
     place_points,
     refit_camera,
     typical_error,
 )
+from mocap_calib.adjust.refine import adjust_until_stable
+from mocap_calib.adjust.resection import find_lost_camera
 from mocap_calib.adjust.rig_covariance import cautious_covariances, covariance_of, fit_again
 from mocap_calib.clocks.estimate import estimate_clocks
 from mocap_calib.compute.parallel import single_threaded_libraries

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import calibrate_group, recording, rotation_errors_deg, scene
 
-from mocap_calib.adjust.fit import measure_fit
+from mocap_calib.adjust.refine import measure_fit
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
