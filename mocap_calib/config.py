@@ -429,10 +429,8 @@ class ResectionConfig:
     tolerance: at which a joint costs half, in median distances of image points from their middle.
     """
 
-    least_joints: int = 6  # of a detection that takes part in a hypothesis
     hypotheses: int = 300
-    frames_single: int = 4  # of a hypothesis where there is one subject,
-    frames_several: int = 2  # and where any detection may be anybody
+    frames: int = 2  # of a hypothesis
     frames_scored: int = 60
     hypotheses_refined: int = 6
     tolerance: float = 0.1

@@ -19,7 +19,7 @@ from mocap_calib.types import Bools, Floats, Ints
 
 _FITS = 0.5  # cost below which a detection may show a body
 _CLEARLY = 0.5  # of the other cost: one of two readings is clearly better
-_LEAST_COMPARED = 3  # joints of a detection and a body that are compared
+_LEAST_COMPARED = 3  # joints of a detection and a body that are compared: six of two give eleven
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def resect(sighting: Sighting, config: ResectionConfig, *, seed: int) -> Resecti
     """Return the projection that most of the detections agree with; None where there is none."""
     similar = _Normalisation.of(sighting)
     scene = Sighting(similar.points(sighting.points), similar.image(sighting.image))
-    possible = _possible_matches(scene, config.least_joints)
+    possible = _possible_matches(scene)
     if not possible.any():
         return None
     projections = _draw_projections(scene, possible, config, seed=seed)
@@ -189,11 +189,11 @@ def _middle_and_size(values: Floats) -> tuple[Floats, float]:
     return middle, max(size, 1e-12)
 
 
-def _possible_matches(scene: Sighting, least_joints: int) -> Bools:
+def _possible_matches(scene: Sighting) -> Bools:
     """Return `[frame, instance, individual]` where enough joints are known of both."""
     seen = np.isfinite(scene.image[..., 0]).astype(np.int64)
     known = np.isfinite(scene.points[..., 0]).astype(np.int64)
-    return np.einsum("fdk,fik->fdi", seen, known) >= least_joints
+    return np.einsum("fdk,fik->fdi", seen, known) >= _LEAST_COMPARED
 
 
 def _draw_projections(
@@ -202,11 +202,9 @@ def _draw_projections(
     """Return projections `[hypothesis, 3, 4]`, each of a few matches that may be right."""
     rng = np.random.default_rng(seed)
     frames = np.flatnonzero(possible.any((1, 2)))
-    alone = possible.sum((1, 2))[frames].max() == 1
-    count = config.frames_single if alone else config.frames_several
-    if len(frames) < count:
+    if len(frames) < config.frames:
         return np.zeros((0, 3, 4))
-    picks = rng.random((config.hypotheses, len(frames))).argsort(1)[:, :count]
+    picks = rng.random((config.hypotheses, len(frames))).argsort(1)[:, : config.frames]
     frame = frames[picks]  # [hypothesis, few]
     chance = rng.random((*frame.shape, *possible.shape[1:])) * possible[frame]
     flat = chance.reshape(*frame.shape, -1).argmax(-1)
