@@ -419,7 +419,6 @@ class UncertaintyConfig:
     focal_systematic: float = 0.02
     tied_misfit: float = 1.001  # ratio of misfits that differ by where an adjustment ended alone
     same_misfit: float = 1.05  # ratio of the misfits of two rigs that fit equally well
-    same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from mocap_calib.adjust.problem import choose_problem, free_poses, solve
 from mocap_calib.adjust.residuals import State
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import Config, MatchingConfig, UncertaintyConfig
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config, MatchingConfig, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import with_size_of
 from mocap_calib.geometry.lens import points_in_cameras, project_views
@@ -159,7 +159,7 @@ def _best_fit(sample: Sample, adjusted: list[Adjusted], config: Config) -> Adjus
     best = int(np.argmax(misfit <= config.uncertainty.tied_misfit * misfit.min()))
     for k in ranked:
         turn_deg = _largest_turn_deg(adjusted[k].rig, adjusted[best].rig)
-        another_rig = turn_deg > config.uncertainty.same_rig_deg
+        another_rig = turn_deg > VERDICT_LIMITS_DEG[-1]
         if another_rig and fit_equally_well(fits[k], fits[best], config.uncertainty):
             return replace(adjusted[best], depth_reversed_rig=adjusted[k].rig)
     return adjusted[best]

@@ -20,7 +20,7 @@ from mocap_calib.types import Floats, Ints
 
 # Levenberg and Marquardt's damping; more of it after a step that raised the cost, less after others
 _STEPS = 50
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-10, 1e8
+_FIRST_DAMPING, _MOST_DAMPING = 1e-4, 1e8
 _DAMPING_FACTOR = 10.0
 
 Unknowns = TypeVar("Unknowns")
@@ -101,7 +101,7 @@ def levenberg_marquardt(
         then = linearise(moved)
         if then.cost < now.cost:
             now = then
-            damping = max(damping / _DAMPING_FACTOR, _LEAST_DAMPING)
+            damping /= _DAMPING_FACTOR
         else:
             damping *= _DAMPING_FACTOR
             if damping > _MOST_DAMPING:
