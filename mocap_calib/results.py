@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import xarray
     from plotly.graph_objects import Figure
 
-# what a 3D point is made of, by the number that `Poses3D.source` has for it
+# how a 3D point was made, by its number in `Poses3D.source`
 PointSource = Literal["missing", "triangulated", "one view", "interpolated"]
 POINT_SOURCES: tuple[PointSource, ...] = get_args(PointSource)
 
@@ -69,12 +69,12 @@ FAULT_WORDS: tuple[FaultWord, ...] = get_args(FaultWord)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Clocks(Record):
-    """Which frame each camera shows at each frame of a clock that is common to all.
+    """Which frame each camera shows at each frame of the common clock.
 
     frames: `[frame]` numbers of the common clock: those of the first camera that is on it.
-    given: `[frame]` numbers in the recording as it was given, which are those of the files.
+    given: `[frame]` numbers in the given recording, which are those of the files.
     source: `[view, frame]` index into these frames, -1 = none.
-    cameras: `[view]` what was found of each; it may have been found and not applied.
+    cameras: `[view]` the clock of each; it may be found and not applied.
     """
 
     frames: Ints
@@ -89,9 +89,9 @@ class Clocks(Record):
 
     @classmethod
     def of_one(cls, recording: Recording, cameras: Iterable[CameraClock] = ()) -> Self:
-        """Return the clocks of a recording that stays as it is.
+        """Return the clocks of an unchanged recording.
 
-        cameras: `[view]` what was found of each; not known, where that is left out.
+        cameras: `[view]` the clock of each, by default not known.
         """
         views, frames = len(recording.cameras), len(recording.frames)
         return cls(
@@ -103,12 +103,12 @@ class Clocks(Record):
 
     @property
     def changed(self) -> bool:
-        """Whether a camera shows other frames than the recording that was given says."""
+        """Whether a camera shows other frames than in the given recording."""
         same = np.array_equal(self.frames, self.given)
         return not (same and bool((self.source == np.arange(len(self.frames))).all()))
 
     def numbers(self, camera: str) -> Ints:
-        """Return the numbers `[frame]` in its files of what a camera shows, -1 where nothing.
+        """Return the frame numbers `[frame]` in the files of a camera, NO_FRAME = none.
 
         Raises KeyError for an unknown name.
         """
@@ -117,7 +117,7 @@ class Clocks(Record):
         return np.where(source >= 0, self.given[source], NO_FRAME)
 
     def after(self, first: "Clocks") -> "Clocks":
-        """Return what both change, the clocks of another recording being changed first."""
+        """Return the composition of two changes of clocks, `first` applied first."""
         source = np.take_along_axis(first.source, np.maximum(self.source, 0), axis=1)
         cameras = tuple(
             late if late.differs or not early.differs else early
@@ -146,10 +146,10 @@ class Mend(Protocol):
 
     @property
     def word(self) -> FaultWord:
-        """The fault that it mends."""
+        """The fault that it corrects."""
 
     def apply(self, recording: Recording) -> Recording:
-        """Return the recording with the detections or the intrinsics of the camera put right."""
+        """Return the recording with the detections or the intrinsics of the camera corrected."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,9 +157,9 @@ class Fault(Record):
     """What is wrong with the files of one camera.
 
     camera: its name. word: one of `FAULT_WORDS`.
-    says: the same for a person, in full, without the name of the camera.
-    evidence: the numbers that it rests on, by what they are.
-    mend: how it was mended, None where it is only named.
+    says: a description, without the name of the camera.
+    evidence: the numbers that support it, by name.
+    mend: the correction, None where it is only reported.
     """
 
     camera: str
@@ -171,13 +171,13 @@ class Fault(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LiftedPoses(Record):
-    """Every detection lifted by itself to a 3D body.
+    """The 3D body of every detection, predicted from its view alone.
 
     Lengths are in body sizes (RMS distance of the joints from their centroid). Joints are those
     of the model's skeleton; absent ones are completed.
 
     body: `[view, frame, instance, joint, 3]` joints about their centroid, in the axes of the
-        view's camera (the virtual camera of the instance taken out), NaN where nothing was lifted.
+        view's camera, NaN where nothing was lifted.
     centre: `[view, frame, instance, 3]` the centroid in the camera's frame.
     spread: `[view, frame, instance, joint]` standard deviation of a joint.
     """
@@ -199,17 +199,16 @@ class LiftedPoses(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PairwiseCalibration(Record):
-    """What is found of the views a and b.
+    """The relative pose of the views a and b, and their matches.
 
     rotation: `[3, 3]` and translation: `[3]` of b_from_a; the length of the translation is the
         baseline in body sizes.
-    matches: `[match, 3]` rows (frame index, instance in a, instance in b) in the frames that were
-        looked at.
+    matches: `[match, 3]` rows (frame index, instance in a, instance in b) in the sampled frames.
     frames: how many of the frames both views share.
     score: 0..1, share of the detections explained x in_front x agreement of the lifted bodies.
     residual: median epipolar error in radians.
     in_front: 0..1, share of the matched joints in front of both cameras.
-    source: what found it ("lifted", "five-point", "paper").
+    source: the solver ("lifted", "five-point", "paper").
     alternatives: other answers, best score first, without alternatives of their own.
     """
 
@@ -233,11 +232,11 @@ class PairwiseCalibration(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Averaged(Record):
-    """The rig, and how well each pair agrees with it.
+    """A rig from pairs, and how well each pair agrees with it.
 
     loop_error: `[pair]` angle in radians between a pair's rotation and the rig's.
     translation_error: `[pair]` angle in radians between the directions of translation.
-    weight: `[pair]` 0..1, what the pair counted for in the end.
+    weight: `[pair]` 0..1, the final robust weight of the pair.
     """
 
     rig: CameraRig
@@ -248,7 +247,7 @@ class Averaged(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Matches(Record):
-    """Who is who: `labels[view, frame, instance]` is the individual, -1 = nobody.
+    """Identities: `labels[view, frame, instance]` is the individual, -1 = unassigned.
 
     One label per detection: cycle consistency by construction.
     """
@@ -277,18 +276,18 @@ class Matches(Record):
 
     @cached_property
     def individuals(self) -> int:
-        """Number of individuals, counted once: each block of a long recording asks for it."""
+        """Number of individuals; cached, as each block of a long recording asks for it."""
         return int(self.labels.max(initial=-1)) + 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Adjusted(Record):
-    """A rig after rounds of adjusting and matching, and the labels that it implies.
+    """A rig after rounds of adjustment and association, and its labels.
 
     matches: labels in the frames that were adjusted.
-    depth_reversed_rig: a rig that fits as well, reversed in depth: what was seen does not tell
-        the two apart. None where there is no such rig.
-    rounds: rounds of adjusting and matching that were made.
+    depth_reversed_rig: a depth-reversed rig that fits equally well, so that the detections do not
+        decide between the two; None = none.
+    rounds: number of rounds of adjustment and association.
     converged: no detection changed its group, and no camera turned, in the last round.
     """
 
@@ -301,11 +300,11 @@ class Adjusted(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TimeOffsets(Record):
-    """By what part of a frame the cameras' clocks differ.
+    """Clock offsets of the cameras by less than a frame.
 
     tau: `[view]` frames by which a camera's images are later than those of the first camera that
-        have the same number, and sigma: `[view]` its standard deviation. NaN where what was seen
-        does not tell: nothing moves, or frames do not follow each other.
+        have the same number, and sigma: `[view]` its standard deviation. NaN where the detections
+        do not determine it: nothing moves, or frames do not follow each other.
     used: `[view]` the offsets that are large and certain enough for the rig and the poses to be
         made with them.
     """
@@ -321,7 +320,7 @@ class TimeOffsets(Record):
 
     @classmethod
     def unknown(cls, views: int) -> "TimeOffsets":
-        """Return that nothing is known of the clocks of so many views."""
+        """Return unknown offsets of so many views."""
         return cls(np.full(views, np.nan), np.full(views, np.nan), np.zeros(views, dtype=bool))
 
     @property
@@ -332,10 +331,10 @@ class TimeOffsets(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RigCovariance(Record):
-    """How far the cameras of a rig may be from where they should be, after the best similarity.
+    """Covariance of the camera poses of a rig, after alignment by a similarity.
 
-    matrix: `[view, 6, view, 6]` covariance of small turns of the cameras (3, radians, about the
-        axes of the world) and of shifts of their centres (3, in sizes of the rig).
+    matrix: `[view, 6, view, 6]` covariance of small rotations of the cameras (3, radians, about the
+        axes of the world) and of their centres (3, in sizes of the rig).
     size: of the rig: RMS distance of the centres from their middle, in the unit of the rig.
     """
 
@@ -344,45 +343,42 @@ class RigCovariance(Record):
 
     @classmethod
     def unknown(cls, views: int, size: float) -> "RigCovariance":
-        """Return that of a rig of a size of which nothing is known: half a turn, its own size."""
+        """Return the covariance of an unknown rig: half a turn, and its size, of each camera."""
         variance = np.concatenate([np.full(3, np.pi**2), np.ones(3)]) / 3
         matrix = np.diag(np.tile(variance, views)).reshape(views, 6, views, 6)
         return cls(matrix=matrix, size=size)
 
     @property
     def rotation_sigma(self) -> Floats:
-        """`[view]` RMS angle in radians by which a camera is turned from its true rotation."""
+        """`[view]` rotation uncertainty in radians (1 SD)."""
         return np.sqrt(np.einsum("vivi->v", self.matrix[:, :3, :, :3]))
 
     @property
     def centre_sigma(self) -> Floats:
-        """`[view]` RMS distance of a centre from the true one, in sizes of the rig."""
+        """`[view]` position uncertainty of a camera centre in sizes of the rig (1 SD)."""
         return np.sqrt(np.einsum("vivi->v", self.matrix[:, 3:, :, 3:]))
 
     @property
     def pair_rotation_sigma(self) -> Floats:
-        """`[view, view]` RMS angle in radians between relative rotations and the true ones."""
+        """`[view, view]` uncertainty of relative rotations in radians (1 SD)."""
         return np.minimum(self._pair_sigma(slice(0, 3)), np.pi)
 
     @property
     def pair_centre_sigma(self) -> Floats:
-        """`[view, view]` RMS distance of the way between two centres from the true one.
-
-        In sizes of the rig.
-        """
+        """`[view, view]` uncertainty of baselines in sizes of the rig (1 SD)."""
         return self._pair_sigma(slice(3, 6))
 
     def _pair_sigma(self, entries: slice) -> Floats:
-        """Return the standard deviations `[view, view]` of what two views differ by."""
+        """Return the standard deviations `[view, view]` of the differences of two views."""
         together = np.einsum("viwi->vw", self.matrix[:, entries, :, entries])
         own = np.diagonal(together)
         variance = own[:, None] + own - together - together.T
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def with_changes(self, changes: Floats) -> "RigCovariance":
-        """Return that of a rig whose cameras may besides be off by each of some changes.
+        """Return the covariance with further independent errors.
 
-        changes: `[change, view, 6]`, as large as their standard deviations.
+        changes: `[change, view, 6]` errors of one standard deviation.
         """
         more = np.einsum("cvi,cwj->viwj", changes, changes)
         return replace(self, matrix=self.matrix + more)
@@ -390,7 +386,7 @@ class RigCovariance(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty(Record):
-    """How well a rig is determined by what was seen.
+    """How well the detections determine a rig.
 
     covariance: of where the cameras stand; what wrong intrinsics may do is part of it.
     held_out: median error of the points of a fifth of the recording in a rig made without it, in
@@ -535,7 +531,7 @@ class Poses3D(Record):
         self._hold("poses", "error", float, *points)
         self._hold("poses", "views", int, *points)
         self._hold("poses", "confidence", float, *points)
-        if np.shape(self.covariance) == (0,):  # nobody knows: takes no memory
+        if np.shape(self.covariance) == (0,):  # not known: takes no memory
             unknown = np.broadcast_to(np.float32(np.nan), (*points, 6))
             object.__setattr__(self, "covariance", unknown)
         self._hold("poses", "covariance", float, *points, 6)
@@ -643,7 +639,7 @@ class Poses3D(Record):
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How best estimates of poses were made of what was seen.
+    """How the best estimates of poses were made.
 
     acceleration, bones: standard deviations of accelerations (in the square of the usual step
         between frames) and of the lengths of bones, beyond what they vary by, that were allowed, in
@@ -666,11 +662,11 @@ class Smoothing:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ObservedPoints(Record):
-    """Points and where cameras saw them: what a bundle adjuster takes.
+    """Points and their observations: the input of a bundle adjustment.
 
     positions: `[point, 3]` in the unit of the rig.
-    view, point: `[observation]` indices of the view and of the point that is seen.
-    pixels: `[observation, 2]` where.
+    view, point: `[observation]` indices of the view and of the point.
+    pixels: `[observation, 2]`.
     """
 
     positions: Floats
@@ -693,13 +689,13 @@ class ObservedPoints(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GroupResult(Record):
-    """All that is found of one group of cameras that see the same bodies.
+    """The results of one group of cameras that see the same bodies.
 
     recording: of the cameras of the group alone; everything else is in their order. Its detections
         are where the cameras would have seen them at the time of the first one, where
         `time_offsets` are used.
     matches: labels in all frames.
-    assessment: how far the rig can be trusted, and why.
+    assessment: the verdict on the rig, and its causes.
     smoothing: how the best estimates of the poses were made.
     seconds: wall time by stage.
     """
@@ -731,7 +727,7 @@ class GroupResult(Record):
 
     @property
     def verdict(self) -> VerdictWord:
-        """How far the rig can be trusted, in a word."""
+        """The verdict on the rig, in a word."""
         return self.assessment.word
 
     @property
@@ -741,9 +737,9 @@ class GroupResult(Record):
 
     @property
     def clock_offsets(self) -> dict[str, float]:
-        """By camera, what its frame numbers have too much, a part of a frame; without those of 0.
+        """By camera, its clock offset by less than a frame; without those of 0.
 
-        An image with the number n shows what the first camera sees at n less that.
+        The image n of a camera shows what the first camera sees at n minus its offset.
         """
         offsets = (-self.time_offsets.applied).tolist()
         return {name: part for name, part in zip(self.rig.names, offsets, strict=True) if part}
@@ -757,7 +753,7 @@ class GroupResult(Record):
 
 @dataclass(frozen=True)
 class UnusedPair:
-    """A pair of cameras (names) that are not in one group, and the score of the pair."""
+    """A pair of cameras (names) that are not in one group, and its score."""
 
     a: str
     b: str
@@ -766,7 +762,7 @@ class UnusedPair:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibrationResult(Record):
-    """All that a run finds: a result for each group of cameras, the largest group first.
+    """The results of a run: one for each group of cameras, the largest first.
 
     left_out: names of the cameras that are in no group.
     config, seed: what the run was made with; the model is that of the groups' recordings.
@@ -803,10 +799,10 @@ PLACE_WORDS: tuple[PlaceWord, ...] = get_args(PlaceWord)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VerifiedCamera(Record):
-    """What keypoints say of one camera of a calibration.
+    """One camera of a calibration, verified by keypoints.
 
     word: one of `PLACE_WORDS`.
-    turn: radians, and shift: in the unit of the rig, by which the camera stands elsewhere than the
+    turn: radians, and shift: in the unit of the rig, by which the camera pose differs from what the
         calibration says, as the other cameras have it; turn_sigma, shift_sigma: their standard
         deviations. NaN where nothing tells.
     relative_shift: the same in sizes of the rig (RMS distance of the cameras from their middle).
@@ -829,13 +825,13 @@ class VerifiedCamera(Record):
 
     @property
     def named(self) -> bool:
-        """Whether something is wrong with it."""
+        """Whether it is reported as wrong."""
         return self.word in ("moved", "focal", "inconsistent")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Verification(Record):
-    """How far a calibration that was given goes with keypoints, and which cameras moved since.
+    """How well a given calibration fits keypoints, and which cameras have moved.
 
     cameras: in the order of the recording. verdict: how far the calibration can be trusted.
     reasons: why it is no better, and what to do about it, a line each.
@@ -857,15 +853,15 @@ class Verification(Record):
         return "\n".join([f"Verification: {self.verdict}", *lines])
 
     def __getitem__(self, name: str) -> VerifiedCamera:
-        """Return what is said of the camera of that name. Raises KeyError."""
+        """Return the camera of that name. Raises KeyError."""
         return self.cameras[find_name(tuple(camera.name for camera in self.cameras), name)]
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Names of the cameras with which something is wrong."""
+        """Names of the cameras that are reported as wrong."""
         return tuple(camera.name for camera in self.cameras if camera.named)
 
     @property
     def passes(self) -> bool:
-        """Whether no camera is named, and the keypoints determine that."""
+        """Whether no camera is reported as wrong, and the keypoints determine that."""
         return not self.named and self.verdict != "not determined"

@@ -30,7 +30,7 @@ Reals = NDArray[np.floating[Any]]
 # which views: one name, indices or names of views, or a mask
 Views = str | Ints | Bools | Sequence[int] | Sequence[str]
 
-# what a length of 1 may be: a unit in metres, or nobody knows
+# units of length in metres; arbitrary where no scale is set
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ARBITRARY = "arbitrary"
 
@@ -68,18 +68,18 @@ def check_factor(owner: str, factor: float) -> None:
 
 
 class Progress(Protocol):
-    """How the library tells of its progress; it never prints."""
+    """A callback that takes reports of progress; the library never prints."""
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Tell that `done` of `total` steps of `stage` are finished."""
+        """Report that `done` of `total` steps of `stage` are finished."""
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Ignore progress: the default where nobody listens."""
+    """Ignore progress: the default."""
 
 
 class Mapper(Protocol):
-    """Where the library has independent work done: threads, processes or other machines."""
+    """Runs independent work in threads, in processes or on other machines."""
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T], /) -> Iterable[R]:
         """Return `function` of every item, in any order.
@@ -116,7 +116,7 @@ class Skeleton:
 class Camera(Record):
     """The intrinsics of one camera.
 
-    size: (width, height) in pixels, (0, 0) where nobody says.
+    size: (width, height) in pixels, (0, 0) = unknown.
     matrix: `[3, 3]`; pixel centres are integers (OpenCV).
     distortion: `[4 | 5 | 8]` OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or `[4]` of cv2.fisheye when
         `fisheye` is set; none where it is left out.
@@ -159,13 +159,12 @@ class Camera(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EstimatedCamera(Camera):
-    """A camera whose intrinsics follow from the recording itself.
+    """A camera whose intrinsics were estimated from the recording.
 
     Its principal point is the given one, or the middle of the image.
 
     focal_sigma: standard deviation of its focal length, in pixels.
-    k1_sigma: standard deviation of the first coefficient of the lens, 0 where that was not
-        estimated.
+    k1_sigma: standard deviation of the first distortion coefficient, 0 = not estimated.
     """
 
     focal_sigma: float = field(kw_only=True)
@@ -173,18 +172,18 @@ class EstimatedCamera(Camera):
 
     @classmethod
     def of(cls, camera: Camera, *, focal_sigma: float, k1_sigma: float) -> Self:
-        """Return a camera with the standard deviations of what was estimated of it."""
+        """Return a camera with the standard deviations of its estimated intrinsics."""
         return cls(**_intrinsic_fields(camera), focal_sigma=focal_sigma, k1_sigma=k1_sigma)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AssumedCamera(Camera):
-    """A camera of which nothing is known but the size of its images: its intrinsics are a guess."""
+    """A camera with assumed intrinsics: only the size of its images is known."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PosedCamera(Camera):
-    """One camera of a rig: its intrinsics and where it stands, as OpenCV takes them.
+    """One camera of a rig: its intrinsics and extrinsics, as OpenCV takes them.
 
     rotation: `[3, 3]` and translation: `[3]` of cam_from_world.
     """
@@ -210,12 +209,12 @@ class PosedCamera(Camera):
 
     @property
     def P(self) -> Floats:
-        """`[3, 4]` projection matrix, K [R t]; it knows nothing of the lens's distortion."""
+        """`[3, 4]` projection matrix, K [R t], without distortion."""
         return self.matrix @ np.column_stack([self.rotation, self.translation])
 
     @property
     def centre(self) -> Floats:
-        """`[3]` where the camera is in world coordinates, C = -R' t."""
+        """`[3]` camera centre in world coordinates, C = -R' t."""
         return -self.rotation.T @ self.translation
 
     def _describe(self) -> str:
@@ -230,15 +229,15 @@ ClockKind = Literal["in step", "clock", "rate", "dropped", "not known"]
 
 @dataclass(frozen=True)
 class CameraClock:
-    """How the clock of one camera differs from the one that most cameras share.
+    """How the clock of one camera differs from the common clock of most cameras.
 
     kind: "in step"; "clock", its frame numbers are off by `offset`; "rate", it has `rate` frames
         for each of the others; "dropped", it lost frames and numbered the others without gaps;
-        "not known", where what was seen does not tell.
-    offset: what its frame numbers have too much, in frames: of the first frame, where that changes.
+        "not known", the detections do not determine it.
+    offset: its frame number minus that of the common clock; at the first frame, where it changes.
     rate: frames of this camera for one of the common clock.
     table: (frame, offset) of the frames of the common clock from which on an offset holds.
-    evidence: the numbers that this rests on.
+    evidence: the numbers that support this.
     """
 
     camera: str
@@ -250,17 +249,17 @@ class CameraClock:
 
     @property
     def differs(self) -> bool:
-        """Whether it is known to differ from the common clock."""
+        """Whether it differs from the common clock."""
         return self.kind in ("clock", "rate", "dropped")
 
 
 @dataclass(frozen=True)
 class MeasuredCue:
-    """A length that somebody knows, and what was measured of it.
+    """A known length and its measured value.
 
-    text: what it is of, as "height of 0". metres: as it is known. measured: the same in metres, as
-    the results have it. sigma: relative standard deviation of its ratio, all told. residual: how
-    many standard deviations it is longer than the other cues say, NaN where there is none.
+    text: what it is the length of, as "height of 0". metres: the known length. measured: its length
+    in metres in the results. sigma: relative standard deviation of their ratio. residual: by how
+    many standard deviations it is longer than by the other cues, NaN = no other cue.
     """
 
     text: str
@@ -272,9 +271,9 @@ class MeasuredCue:
 
 @dataclass(frozen=True)
 class MeasuredLandmark:
-    """A point whose place is known, and how far from it cameras see it.
+    """A point of known position, and its distance from where the cameras see it.
 
-    distance: in metres; NaN = no two cameras agree on where it is, and it was not used.
+    distance: in metres; NaN = no two cameras agree on its position, and it was not used.
     """
 
     name: str
@@ -285,19 +284,19 @@ class MeasuredLandmark:
 class World(Record):
     """What the axes, the origin and the unit of coordinates are.
 
-    kind: one of `WORLD_KINDS`: the axes of a camera, a floor (z up, the origin on it), those of a
-        file with cameras, or those of landmarks whose places were given; or nobody knows.
-    camera: name of the camera whose axes they are, "" = of none.
+    kind: one of `WORLD_KINDS`: the axes of a camera, of a floor (z up, the origin on it), of a file
+        with cameras, or of landmarks of known position; or not known.
+    camera: name of the camera whose axes they are, "" = none.
     up: `[3]` unit vector against gravity, NaN = not known. up_sigma: its standard deviation in
         radians.
     floor: `[3]` a point of the floor, NaN = not known. floor_sigma: standard deviation of its
         height in the unit.
     scale_sigma: relative standard deviation of lengths, NaN = arbitrary or not known.
     remarks: how axes and floor were found, or why they were not, a line each.
-    cues: what the scale follows from, where it follows from known lengths.
-    landmarks: what the axes and the scale follow from, where they follow from known points.
-    axes_unmet, scale_unmet: why axes or lengths are not those that were asked for, in a line; "" =
-        they are.
+    cues: the known lengths that set the scale, if any.
+    landmarks: the known points that set the axes and the scale, if any.
+    axes_unmet, scale_unmet: why the requested axes or scale could not be set, in a line; "" = they
+        were.
     """
 
     kind: WorldKind = "not known"
@@ -318,26 +317,26 @@ class World(Record):
         self._copy("world", "floor", float, 3)
 
     def scale(self, factor: float) -> "World":
-        """Return it with all lengths multiplied by a factor."""
+        """Return the world with all lengths multiplied by a factor."""
         return replace(self, floor=factor * self.floor, floor_sigma=factor * self.floor_sigma)
 
     def turn(self, rotation: Floats, shift: Floats | float = 0.0) -> "World":
-        """Return it in other axes, to which a rotation `[3, 3]` turns these.
+        """Return the world in other axes, x_new = rotation x + shift.
 
-        shift: `[3]` of all points, in the new axes.
+        rotation: `[3, 3]`. shift: `[3]` in the new axes.
         """
         return replace(self, up=rotation @ self.up, floor=rotation @ self.floor + shift)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CameraRig(Record):
-    """Cameras and where they stand.
+    """Cameras and their extrinsics.
 
     `rig["cam1"]` is one of them, `for camera in rig` each in turn.
 
     rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world.
     unit: what a length of 1 is ("m", "mm", ... or "arbitrary").
-    clocks: of the cameras whose frames are not numbered by the clock of the others.
+    clocks: of the cameras that are not on the common clock.
     world: what the axes of the coordinates are.
     """
 
@@ -388,7 +387,7 @@ class CameraRig(Record):
 
     @property
     def P(self) -> Floats:
-        """`[view, 3, 4]` projection matrices, K [R t]; they know nothing of distortion."""
+        """`[view, 3, 4]` projection matrices, K [R t], without distortion."""
         return np.array([camera.P for camera in self])
 
     def relative(self, a: int, b: int) -> tuple[Floats, Floats]:
@@ -413,7 +412,7 @@ class CameraRig(Record):
         )
 
     def stand(self, rotation: Floats, centres: Floats) -> "CameraRig":
-        """Return the rig with its cameras elsewhere, in its own unit.
+        """Return the rig with other extrinsics, in the same unit.
 
         rotation: `[view, 3, 3]` of cam_from_world; centres: `[view, 3]` in world coordinates.
         """
@@ -454,7 +453,7 @@ class CameraRig(Record):
 
 
 def intrinsics_of(cameras: Sequence[Camera] | CameraRig) -> tuple[Camera, ...]:
-    """Return the cameras of a rig, or cameras, without where they stand."""
+    """Return the cameras of a rig, or cameras, without extrinsics."""
     return cameras.cameras if isinstance(cameras, CameraRig) else _without_poses(cameras)
 
 
@@ -497,7 +496,7 @@ def find_name(names: tuple[str, ...], name: str) -> int:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Keypoints2D(Record):
-    """What one keypoint file holds: the detections of one camera.
+    """The detections of one camera, as in one keypoint file.
 
     frames: `[frame]` numbers as the file has them, ascending, each once.
     positions: `[frame, instance, keypoint, 2]` pixels, NaN = missing. The instance index is the
@@ -505,10 +504,9 @@ class Keypoints2D(Record):
         individual: the column's position).
     confidence: `[frame, instance, keypoint]`, as the file has it, 0 = missing.
     tracked: the instance index names the same individual in all frames of this file.
-    image_size: (width, height), (0, 0) where the file does not say.
-    missing: how many points each custom of the file ("(0, 0)", "empty or NaN", ...) marks as
-        missing; remarks: what a person should know of the file, a line each. Both are for
-        `inspect`; no stage looks at them.
+    image_size: (width, height), (0, 0) = not in the file.
+    missing: number of missing points by how the file marks them ("(0, 0)", "empty or NaN", ...);
+        remarks: notes on the file, a line each. Both are for `inspect`; no stage uses them.
     """
 
     camera: str
@@ -541,15 +539,14 @@ class Keypoints2D(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Record):
-    """All views on one clock.
+    """The detections of all views on one clock.
 
     frames: `[frame]` numbers that at least two views have.
     positions: `[view, frame, instance, keypoint, 2]` pixels, NaN = missing.
-    confidence: `[view, frame, instance, keypoint]` in 0..1 of each view's own scale, 0 = missing.
+    confidence: `[view, frame, instance, keypoint]` in 0..1, scaled for each view, 0 = missing.
     tracked: `[view]` the instance index names the same individual in all frames.
-    vocabulary: `[keypoint]` index of each keypoint in the model's skeleton, -1 = the model has no
-        such joint.
-    model: whose skeleton that is: a shipped model by name, a file of weights, or "none".
+    vocabulary: `[keypoint]` index of each keypoint in the model's skeleton, -1 = not in it.
+    model: the name of a shipped model, a file of weights, or "none".
     """
 
     cameras: tuple[Camera, ...]
@@ -628,8 +625,7 @@ class Recording(Record):
         """Return the recording with these views and these frames alone, in this order.
 
         views: `[view]` indices or mask, or names. frames: `[frame]` indices (not numbers) or mask,
-        or a slice. What is not given stays whole; that and frames that follow each other are not
-        copied.
+        or a slice. By default all; slices and what stays whole are not copied.
 
         Raises KeyError for a name that no camera has, and ValueError for a mask of another length.
         """
@@ -648,9 +644,9 @@ class Recording(Record):
         return found
 
     def show(self, source: Ints, frames: Ints) -> Self:
-        """Return the recording in which each view shows other frames than it did.
+        """Return the recording with other frames in each view.
 
-        source: `[view, frame]` index of what is shown, -1 = nothing. frames: `[frame]` numbers.
+        source: `[view, frame]` index of the frame to show, -1 = none. frames: `[frame]` numbers.
         """
         view = np.arange(len(self.cameras))[:, None]
 
@@ -682,8 +678,8 @@ class Sample(Recording):
 
     Made by `recording.sampling.take_sample`.
 
-    rays: `[view, frame, instance, keypoint, 3]` unit vectors in each camera's frame (distortion
-        taken out), NaN = missing.
+    rays: `[view, frame, instance, keypoint, 3]` unit vectors in each camera's frame,
+        undistorted, NaN = missing.
     """
 
     positions: Floats
