@@ -315,10 +315,6 @@ class PosesConfig:
     """Best estimates of poses (`poses/`). Lengths in body sizes, times in steps between frames.
 
     smooth: "auto"; "bones" alone, nothing over time; "off": the triangulated points.
-    alone_outlier: `TriangulateConfig.outlier` of points to start from that triangulation refused,
-        where nothing over time helps. Measured: MVOR has 0.455 of its joints with it, 0.436
-        without. In motions interpolated points are better: with 10 % of wrong detections, errors
-        at refused points are 0.01 m, and 0.15 m from such a start.
     losses: of angles between rays and points, in standard deviations, among which held-out
         detections choose, the usual one first: only what is better by more than a standard error
         replaces it. Chosen: the narrow one for most detectors, where it would cost projected
@@ -331,43 +327,36 @@ class PosesConfig:
     shared_acceleration: variance of the acceleration that a body's joints share, to that of theirs
         around it. Measured: 0.1 to 0.5 differ by at most 0.5 % (HumanEva 2 %).
     accelerations, bones: standard deviations among which, and none, held-out detections choose,
-        the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second.
-    least_hidden: detections; with fewer, accelerations are allowed as large as those of the
-        points, and lengths may err by `usual_bones`.
-    largest_acceleration: of the points; where it is larger, frames do not follow each other.
-        Measured: 0.01 to 0.1 of motions, 0.7 and more where they do not.
+        the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second. Where points
+        accelerate by more than the largest (0.01 to 0.1 in motions, 0.7 and more elsewhere), frames
+        do not follow each other.
     held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
-    fit_steps, refit_steps, choice_steps: of Gauss-Newton: to fit points; to fit them again, without
-        the detections that the first fit exposes; and to choose strengths. overshoot: how many
-        times a step is taken that robust losses make too short. Measured: the same errors as with
-        8, 4 and 4 steps, each taken once.
+    fit_steps, refit_steps: of Gauss-Newton: to fit points; to fit them again, without the
+        detections that the first fit drops, and to choose strengths. overshoot: factor of a step,
+        which robust losses make too short. Measured: the same errors as with 8, 4 and 4 steps, each
+        taken once.
     inner_steps: of conjugate gradients in each, at most. inner_tolerance: they end when the
         residual is smaller than this part of the gradient. Measured: with 0.03 other strengths are
         chosen, with 0.01 the same as without it.
     ridge: inverse variance of a point before anything is known of it, which damps the steps.
     longest_gap: frames without any detection of a joint that are bridged.
     largest_sigma: of a point; what is less sure is missing.
-    outlier: standard deviations from which on a detection is dropped. exchange_gain: nats that an
-        exchange of left and right must gain.
-    block_frames: fitted at once; margin_frames: on each side, which are fitted again.
+    outlier: standard deviations from which on a detection is dropped, and nats that an exchange of
+        left and right must gain.
+    block_frames: fitted at once, besides margins of four longest gaps.
     """
 
     smooth: SmoothMode = "auto"
-    alone_outlier: float = 8.0
     losses: tuple[float, ...] = (2.5, 4.0, 1.5)
     first_loss: float = 4.0
     prior_loss: float = 2.0
     shared_acceleration: float = 0.25
     accelerations: tuple[float, ...] = tuple(0.4 / 2**k for k in range(11))
     bones: tuple[float, ...] = (0.1, 0.05, 0.025, 0.012)
-    usual_bones: float = 0.05
-    largest_acceleration: float = 0.25
-    least_hidden: int = 100
     held_out_frames: int = 200
     held_out_stretch: int = 50
     fit_steps: int = 6
     refit_steps: int = 4
-    choice_steps: int = 4
     overshoot: float = 2.0
     inner_steps: int = 3
     inner_tolerance: float = 0.01
@@ -375,9 +364,7 @@ class PosesConfig:
     longest_gap: int = 10
     largest_sigma: float = 0.15
     outlier: float = 6.0
-    exchange_gain: float = 8.0
     block_frames: int = 1000
-    margin_frames: int = 40
 
 
 # expected rotation errors of the least certain camera, in degrees: below the first a rig is well

@@ -1,4 +1,4 @@
-"""Strengths of smoothing: those that best predict the detections hidden from the fit."""
+"""What detections decide: strengths of smoothing, exchanged sides, and outliers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -11,11 +11,6 @@ from mocap_calib.poses.fit import Strengths, fit, squared_errors
 from mocap_calib.poses.track import Body, Detections, accelerations
 from mocap_calib.types import Bools, Floats, Ints
 
-_SEED = 0  # of which detections are hidden
-# Frames for which a joint is hidden from a view. Errors are correlated in time: with 5 frames the
-# detections just before and after are as wrong, and Shelf is smoothed as much as can be.
-_RUN = 25
-_VIEWS = 3  # of a point of which one is hidden: two must be left
 _LARGEST = 900.0  # squared error that counts in full
 _MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
 
@@ -45,8 +40,8 @@ def choose_strengths(
     points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
     """
     usual = usual_strengths(points, seen, body, config, moves=moves)
-    hidden = _hide(seen)
-    if hidden.sum() < config.least_hidden:
+    hidden = _hide(seen, config)
+    if hidden.sum() < 2 * config.held_out_stretch:
         return Choice(usual)
     search = _Search(points, seen, body, hidden, config)
     chosen = usual
@@ -80,13 +75,13 @@ class _Search:
     def _run(self) -> Ints:
         """`[N]` the number of the run that each hidden detection belongs to."""
         _, joint, frame = np.nonzero(self.hidden)
-        return np.asarray(joint * self.hidden.shape[2] + frame // _RUN)
+        return np.asarray(joint * self.hidden.shape[2] + frame // _run_length(self.config))
 
     def loss(self, strengths: Strengths) -> Floats:
         """Return the loss of each hidden detection."""
         if strengths not in self.losses:
             shown = replace(self.seen, precision=np.where(self.hidden, 0.0, self.seen.precision))
-            steps = self.config.choice_steps
+            steps = self.config.refit_steps
             points = fit(self.points, shown, self.body, strengths, self.config, steps=steps)
             square = squared_errors(points, self.seen)[self.hidden]
             self.losses[strengths] = np.log1p(np.minimum(square, _LARGEST) / 4)
@@ -136,20 +131,78 @@ def usual_strengths(
     counted = np.all([there[:, k : k + ends] for k in range(3)], axis=0)
     counted &= body.steps[0, :ends] != 0
     sigma = float(np.median(size[counted])) / _MEDIAN_LENGTH if counted.any() else np.inf
-    follow = moves and sigma < config.largest_acceleration
+    follow = moves and sigma < config.accelerations[0]
     allowed = sigma if follow else np.inf
-    bones = config.usual_bones if len(body.edges) else np.inf
+    bones = config.bones[1] if len(body.edges) else np.inf
     return Strengths(max(allowed, config.accelerations[-1]), bones, config.losses[0])
 
 
-def _hide(seen: Detections) -> Bools:
+def _run_length(config: PosesConfig) -> int:
+    """Return for how many frames a joint is hidden from a view.
+
+    Errors are correlated in time: with 5 frames the detections just before and after are as wrong,
+    and Shelf is smoothed as much as can be.
+    """
+    return max(config.held_out_stretch // 2, 1)
+
+
+def _hide(seen: Detections, config: PosesConfig) -> Bools:
     """Return which detections `[view, keypoint, frame]` are hidden: two of each point stay.
 
     Of every point that three views or more detect, one view is hidden.
     """
     there = seen.precision > 0
     views, joints, frames = there.shape
-    rng = np.random.default_rng(_SEED)
-    runs = rng.integers(0, views, size=(joints, frames // _RUN + 1))
-    chosen = runs.repeat(_RUN, axis=1)[:, :frames] == np.arange(views)[:, None, None]
-    return chosen & there & (there.sum(0) >= _VIEWS)
+    rng = np.random.default_rng(0)
+    length = _run_length(config)
+    runs = rng.integers(0, views, size=(joints, frames // length + 1))
+    chosen = runs.repeat(length, axis=1)[:, :frames] == np.arange(views)[:, None, None]
+    return chosen & there & (there.sum(0) >= 3)
+
+
+def exchange_sides(
+    points: Floats, seen: Detections, mirror: Ints, config: PosesConfig
+) -> tuple[Detections, Bools]:
+    """Return the detections with left and right exchanged where that explains a view.
+
+    points: `[keypoint, frame, 3]`. mirror: `[keypoint]` the joint of the other side, itself where
+    there is none. A pair is exchanged in one view of one frame where both were seen.
+
+    Returns which were, `[view, keypoint, frame]`, both of a pair.
+    """
+    paired = mirror != np.arange(len(mirror))
+    as_seen = squared_errors(points, seen)
+    other = squared_errors(points[mirror], seen)
+    there = seen.precision > 0
+    fits = paired[:, None] & there & (other < config.outlier**2)
+    # logarithms are never more than what they are of, and few detections are so far off
+    far = as_seen + as_seen[:, mirror] > 2 * config.outlier
+    exchanged = fits & fits[:, mirror] & far
+    view, joint, frame = np.nonzero(exchanged)
+    scale = config.losses[0] ** 2
+    gain = sum(
+        np.log1p(as_seen[view, each, frame] / scale) - np.log1p(other[view, each, frame] / scale)
+        for each in (joint, mirror[joint])
+    )
+    exchanged[view, joint, frame] = gain * scale / 2 > config.outlier
+    if not exchanged.any():
+        return seen, exchanged
+    return (
+        replace(
+            seen,
+            rays=np.where(exchanged, seen.rays[:, :, mirror], seen.rays),
+            precision=np.where(exchanged, seen.precision[:, mirror], seen.precision),
+        ),
+        exchanged,
+    )
+
+
+def drop_outliers(
+    points: Floats, seen: Detections, config: PosesConfig
+) -> tuple[Detections, Bools]:
+    """Return the detections without those far from the points, and which these are.
+
+    points: `[keypoint, frame, 3]`. Which: `[view, keypoint, frame]`.
+    """
+    far = (seen.precision > 0) & (squared_errors(points, seen) > config.outlier**2)
+    return replace(seen, precision=np.where(far, 0.0, seen.precision)), far

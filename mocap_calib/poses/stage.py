@@ -11,11 +11,11 @@ from mocap_calib.compute.parallel import map_in_threads, single_threaded_librari
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.geometry.alignment import body_size
 from mocap_calib.lift.weights import load_vocabulary
-from mocap_calib.poses.choose import Choice, choose_strengths
-from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
+from mocap_calib.poses.choose import Choice, choose_strengths, drop_outliers, exchange_sides
 from mocap_calib.poses.fit import covariances, fit
 from mocap_calib.poses.start import (
     add_refused,
+    are_beyond_reach,
     arrays_to_fill,
     bone_lengths,
     fill_gaps,
@@ -36,8 +36,6 @@ from mocap_calib.results import GroupResult, Matches, Poses3D, Smoothing
 from mocap_calib.rig.noise import view_noise
 from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, silent
-
-_LEAST_FRAMES = 3  # of an individual: with fewer there is nothing to go by
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ class _Scene:
         measured = mapped.some_frames(there)
         points = mapped.take(raw, measured)
         size = body_size(points)
-        if len(there) < _LEAST_FRAMES or not size > 0:
+        if len(there) < 3 or not size > 0:  # no acceleration, or no body
             return None
         variances = mapped.take(self.poses.covariance[:, index], measured)[..., (0, 3, 5)]
         sigma = np.sqrt(variances.sum(-1, dtype=np.float64))
@@ -208,7 +206,7 @@ def _fit_all(
     poses, config = scene.poses, scene.config
     choice = _choose(scene)
     if not np.isfinite(choice.strengths.acceleration):
-        wider = replace(triangulate, outlier=max(config.alone_outlier, triangulate.outlier))
+        wider = replace(triangulate, outlier=2 * triangulate.outlier)
         where = (scene.recording, scene.rig, scene.matches, poses.raw)
         start = add_refused(*where, noise=scene.noise, config=wider)
         scene = replace(scene, start=start)

@@ -162,8 +162,9 @@ def point_sources(seen: Detections, met: Bools, times: Floats, longest: int) -> 
 
 def blocks(frames: Ints, config: PosesConfig) -> Iterator[tuple[slice, Ints]]:
     """Yield frames to fit at once, and which of them are new there: the others are margins."""
+    margin = 4 * config.longest_gap
     for start in range(0, len(frames), config.block_frames):
-        first = max(start - config.margin_frames, 0)
+        first = max(start - margin, 0)
         last = start + config.block_frames
-        own = frames[first : last + config.margin_frames]
+        own = frames[first : last + margin]
         yield slice(start - first, min(last, len(frames)) - first), own

@@ -270,7 +270,7 @@ def test_a_joint_metres_away_is_not_taken_however_well_the_views_agree_on_it():
 def test_blocks_of_time_join_without_a_seam():
     """Measured: 1e-5 m between blocks of 25 frames and one block."""
     whole, _ = smoothed(**EASY)
-    parts, _ = smooth(recording(**EASY), PosesConfig(block_frames=25, margin_frames=20), **EASY)
+    parts, _ = smooth(recording(**EASY), PosesConfig(block_frames=25), **EASY)
     assert np.nanmax(np.abs(parts.positions - whole.positions)) < 2e-3
     assert (parts.source == whole.source).mean() > 0.999
 
