@@ -110,8 +110,12 @@ def covariance_of(fitted: FittedRig, config: Config) -> tuple[RigCovariance, flo
     parts = leave_out_parts(fitted, config)
     # Rigs without a part differ by `bend` times the first-order prediction; the covariance grows by
     # bend^4: what parts of the errors do beyond first order, all of them together do once more.
-    bend = np.sqrt(parts.variance / max(of_time, 1e-30)) / config.uncertainty.usual_bend
+    bend, usual = np.sqrt(parts.variance / max(of_time, 1e-30)), config.uncertainty.usual_bend
     frames = len(np.unique(fitted.problem.tracks.frame))
+    if frames == 1:  # it has no parts
+        bend = usual
+    elif frames >= config.uncertainty.time_blocks:  # chance alone makes it as large
+        bend /= usual
     degrees = _degrees_of_freedom(fitted, of_time, of_joints, config)
     # a single frame does not show what all its joints have in common: it counts twice
     scale = max(1.0, bend) ** 4 * (1 + 1 / frames) * hotelling_factor(degrees)
