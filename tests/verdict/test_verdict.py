@@ -163,7 +163,7 @@ def test_images_tell_who_stands_still():
 
 @pytest.mark.slow
 def test_checks_see_what_is_wrong():
-    """A camera blind to identities, errors in one stretch, a lens, points in a plane."""
+    """A camera blind to identities, errors in one stretch, a lens."""
     group = calibrated()
     frames = len(group.recording.frames)
     labels = group.matches.labels.copy()
@@ -178,6 +178,13 @@ def test_checks_see_what_is_wrong():
     turn = np.rad2deg(40.0 / group.rig.cameras[1].focal)
     assert turn < found.error_deg < 2 * turn  # along both axes of the image
     assert found.camera == group.rig.names[1]
+    camera, positions = group.rig.cameras[0], group.recording.positions.copy()
+    arm = (positions[0] - camera.matrix[:2, 2]) / camera.focal
+    positions[0] += camera.focal * 0.3 * arm * (arm**2).sum(-1, keepdims=True)
+    bent = replace(group, recording=replace(group.recording, positions=positions))
+    found = values(bent)["lens"]
+    assert found.camera == group.rig.names[0]
+    assert 0 < found.error_deg < np.rad2deg(0.3 * np.nanmax((arm**2).sum(-1)) ** 1.5)
 
 
 @pytest.mark.slow
