@@ -9,6 +9,8 @@ import numpy as np
 from mocap_calib.clocks.compare import Pair, compared_pairs
 from mocap_calib.clocks.evidence import Agreements, standardise
 from mocap_calib.geometry.rotation import skew
+from mocap_calib.kernels import clocks as kernels
+from mocap_calib.kernels.loading import contiguous
 from mocap_calib.results import Matches
 from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
@@ -50,32 +52,20 @@ def epipolar_tables(
     matches: labels in all frames. stretches: `[stretch, frame]` indices, -1 = no frame.
     """
     rays = _rays(recording, matches, stretches)
-    errors = {
-        (a, b): _epipolar_errors(rays[a], rays[b], *rig.relative(a, b), reach)
+    planes = {
+        (a, b): _epipolar_planes(rays[a], rays[b], *rig.relative(a, b))
         for a, b in compared_pairs(len(rig))
     }
-    medians = [np.nanmedian(each[..., reach]) for each in errors.values() if _is_known(each, reach)]
-    if not medians:
+    angles = {pair: _synchronous_angles(*each) for pair, each in planes.items()}
+    known = [pair for pair, each in angles.items() if len(each)]
+    if not known:
         return {}
-    scale = _LOSS_SCALE * np.median(medians)
-    return {
-        pair: _mean_of_known(-np.log1p((each / scale) ** 2))
-        for pair, each in errors.items()
-        if _is_known(each, reach)
-    }
-
-
-def _is_known(errors: Floats, reach: int) -> bool:
-    """Return whether two views share a keypoint at the frame numbers as they are."""
-    return bool(np.isfinite(errors[..., reach]).any())
-
-
-def _mean_of_known(values: Floats) -> Floats:
-    """Return means `[stretch, frame, offset]` over points `[stretch, frame, point, offset]`."""
-    known = np.isfinite(values)
-    count = known.sum(2)
-    total = np.where(known, values, 0.0).sum(2)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    scale = _LOSS_SCALE * float(np.median([np.median(angles[pair]) for pair in known]))
+    tables = {}
+    for pair in known:
+        tables[pair] = np.empty((*stretches.shape, 2 * reach + 1))
+        kernels.mean_epipolar_likelihood(*contiguous(*planes[pair]), scale, tables[pair])
+    return tables
 
 
 def _rays(recording: Recording, matches: Matches, stretches: Ints) -> Floats:
@@ -87,21 +77,21 @@ def _rays(recording: Recording, matches: Matches, stretches: Ints) -> Floats:
     return np.where((stretches >= 0)[..., None, None], rays[:, place], np.nan)
 
 
-def _epipolar_errors(
-    a: Floats, b: Floats, rotation: Floats, translation: Floats, reach: int
-) -> Floats:
-    """Return the angles `[stretch, frame of a, point, offset of b]` by which rays do not meet.
+def _epipolar_planes(
+    a: Floats, b: Floats, rotation: Floats, translation: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the normals of the epipolar planes of rays of a, rays of b, and squares of both.
+
+    Two rays miss each other by the angle normal . ray / sqrt(square of a + square of b).
 
     a, b: `[stretch, frame, point, 3]` rays. rotation, translation: of b_from_a.
     """
     essential = skew(translation) @ rotation
-    of_a, of_b = a @ essential.T, b @ essential
-    square_a, square_b = (of_a**2).sum(-1), (of_b**2).sum(-1)
-    frames = a.shape[1]
-    found = np.full((*a.shape[:3], 2 * reach + 1), np.nan)
-    for offset in range(-reach, reach + 1):
-        here = slice(max(0, -offset), min(frames, frames - offset))
-        there = slice(max(0, offset), min(frames, frames + offset))
-        gap = np.abs((of_a[:, here] * b[:, there]).sum(-1))
-        found[:, here, :, offset + reach] = gap / np.sqrt(square_a[:, here] + square_b[:, there])
-    return found
+    normal = a @ essential.T
+    return normal, b, (normal**2).sum(-1), ((b @ essential) ** 2).sum(-1)
+
+
+def _synchronous_angles(normal: Floats, ray: Floats, square_a: Floats, square_b: Floats) -> Floats:
+    """Return the angles `[N]` by which rays of equal frame numbers miss each other."""
+    angle = np.abs((normal * ray).sum(-1)) / np.sqrt(square_a + square_b)
+    return angle[np.isfinite(angle)]

@@ -93,3 +93,31 @@ def sum_on_diagonals(
                     total[hypothesis, stretch, block],
                     known[hypothesis, stretch, block],
                 )
+
+
+@kernel("f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], f8, f8[:,:,::1]")
+def mean_epipolar_likelihood(
+    normal: Floats, ray: Floats, square_a: Floats, square_b: Floats, scale: float, table: Floats
+) -> None:
+    """Set the mean log likelihood `[stretch, frame of a, offset of b]` of epipolar angles.
+
+    NaN where two views share no point. normal: `[stretch, frame, point, 3]` of the epipolar planes
+    of the rays of a; ray: of b. square_a, square_b: `[stretch, frame, point]` NaN where unknown.
+    scale: angle at which the loss turns.
+    """
+    stretches, frames, offsets = table.shape
+    for stretch in range(stretches):
+        for frame in range(frames):
+            for k in range(offsets):
+                other = frame + k - offsets // 2
+                total, count = 0.0, 0
+                if 0 <= other < frames:
+                    for point in range(normal.shape[2]):
+                        square = square_a[stretch, frame, point] + square_b[stretch, other, point]
+                        if math.isnan(square):
+                            continue
+                        n, r = normal[stretch, frame, point], ray[stretch, other, point]
+                        gap = n[0] * r[0] + n[1] * r[1] + n[2] * r[2]
+                        total -= math.log1p(gap * gap / (square * scale * scale))
+                        count += 1
+                table[stretch, frame, k] = total / count if count else math.nan

@@ -125,3 +125,20 @@ def test_a_rotation_is_scored_at_each_rate():
     assert score.shape == (2, len(CLOCK_RATES))
     assert score[0, CLOCK_RATES.index(1.0)] == pytest.approx(1.0, abs=1e-3)
     assert score[1].max() < 0.5
+
+
+def test_rays_that_meet_are_likely_and_unseen_points_are_left_out():
+    rng = np.random.default_rng(0)
+    normal, ray = rng.normal(size=(2, 1, 6, 4, 3))
+    square_a, square_b = rng.random((2, 1, 6, 4))
+    square_a[0, 2], square_b[0, 4, :3] = np.nan, np.nan
+    table = np.empty((1, 6, 5))
+    kernels.mean_epipolar_likelihood(normal, ray, square_a, square_b, 0.3, table)
+    for frame in range(6):
+        for offset in range(-2, 3):
+            expected = np.nan
+            if 0 <= frame + offset < 6 and frame != 2:
+                gap = (normal[0, frame] * ray[0, frame + offset]).sum(-1)
+                square = square_a[0, frame] + square_b[0, frame + offset]
+                expected = np.nanmean(-np.log1p(gap**2 / square / 0.3**2))
+            assert table[0, frame, offset + 2] == pytest.approx(expected, nan_ok=True)
