@@ -620,26 +620,6 @@ class MovedConfig:
 
 
 @dataclass(frozen=True)
-class UnrelatedConfig:
-    """Whether a camera saw another scene than the others (faults/unrelated.py).
-
-    Only cameras without a pair of sufficient score are looked at. Shares are of the detections of
-    a camera that lie where the others place a body, to within `tolerance` of their angular size.
-    Measured: 0.01 and 0.04 of cameras of other recordings, whose groups have 0.85 to 0.93 usually;
-    0.5 to 1 in sound recordings, but 0.12 to 0.32 in one of poor detections.
-
-    detections: of one camera, about, that are looked at.
-    most_explained: share, of what is usual among the others, that an unrelated camera may have.
-    least_usual: share that the others must have, for this to mean anything.
-    """
-
-    detections: int = 150
-    tolerance: float = 0.15
-    most_explained: float = 0.2
-    least_usual: float = 0.4
-
-
-@dataclass(frozen=True)
 class VerifyConfig:
     """Whether a calibration goes with keypoints, and which camera moved since.
 
@@ -890,7 +870,6 @@ class Config:
     poses: PosesConfig = PosesConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     moved: MovedConfig = MovedConfig()
-    unrelated: UnrelatedConfig = UnrelatedConfig()
     exchanged: ExchangedConfig = ExchangedConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
     verify: VerifyConfig = VerifyConfig()

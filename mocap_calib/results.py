@@ -61,7 +61,6 @@ FaultWord = Literal[
     "exchanged",
     "duplicate",
     "moved",
-    "unrelated",
     "inconsistent",
 ]
 FAULT_WORDS: tuple[FaultWord, ...] = get_args(FaultWord)

@@ -8,15 +8,16 @@ as they are, nothing is mended.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from mocap_calib.compute.parallel import do_both
 from mocap_calib.config import Config, MendConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.exchanged import find_exchanged_cameras
 from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.faults.odd_cameras import find_odd_cameras
-from mocap_calib.faults.sides import exchanged_instead
-from mocap_calib.faults.unrelated import find_unrelated_cameras
-from mocap_calib.recording.corrections import apply_mends
+from mocap_calib.faults.words import describe
+from mocap_calib.recording.corrections import Sides, apply_mends
 from mocap_calib.results import CalibrationResult, Fault, FaultWord, Mend
 from mocap_calib.rig.observed import Observed
 from mocap_calib.types import Recording
@@ -68,16 +69,7 @@ def mend_faults(
         faults += best.faults
     if faults and all(fault.word == "moved" for fault in faults) and _is_in_vain(calibrated[1]):
         calibrated, faults = as_given, ()
-    observed, result = calibrated
-    named = {fault.camera for fault in faults}
-    unrelated = (
-        fault
-        for group in result.groups
-        if group.verdict != "not determined"
-        for fault in find_unrelated_cameras(observed, group, result.config)
-        if fault.camera not in named
-    )
-    return replace(result, faults=(*faults, *unrelated))
+    return replace(calibrated[1], faults=faults)
 
 
 def _refuting_gain(faults: Sequence[Fault], config: MendConfig) -> float:
@@ -193,6 +185,40 @@ def _calibrate_mended(
         return others, calibrate(apply_mends(recording, mends_of((*known, *others))))
     except DegenerateError:
         return _only_named(new), calibrated
+
+
+def exchanged_instead(
+    found: Sequence[Fault], observed: Observed, mended: Observed, config: Config
+) -> tuple[Fault, ...]:
+    """Return the faults of the two others where a camera had its sides right; else nothing.
+
+    Geometry shows only that one of three differs from two. But no body bends its knees backwards:
+    the lifting network is less certain of detections whose sides are exchanged.
+
+    observed, mended: what was known with the sides of the camera as they are, and exchanged.
+    """
+    names = observed.recording.names
+    if len(names) != 3 or len(found) != 1 or not isinstance(found[0].mend, Sides):
+        return ()
+    fault = found[0]
+    rise = log_spread(mended, fault.camera) - log_spread(observed, fault.camera)
+    if not rise > config.diagnosis.unnatural_sides:
+        return ()
+    mends = [Sides(name) for name in names if name != fault.camera]
+    evidence = {**fault.evidence, "spread": rise}
+    return tuple(
+        replace(fault, camera=mend.camera, says=describe(mend), evidence=evidence, mend=mend)
+        for mend in mends
+    )
+
+
+def log_spread(observed: Observed, camera: str) -> float:
+    """Return the logarithm of how unsure the network is of a camera's bodies, typically."""
+    spread = observed.lifted.spread[observed.recording.names.index(camera)]
+    lifted = np.isfinite(spread).any(-1)
+    if not lifted.any():
+        return float("nan")
+    return float(np.median(np.log(np.nanmean(spread[lifted] ** 2, axis=-1))) / 2)
 
 
 def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, ...]:

@@ -5,13 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from faults.test_odd_cameras import CHANGES, ODD, plain
+from faults.test_odd_cameras import CHANGES, plain
 from scenes import calibrate_all, rotation_errors_deg, scene
 
 from mocap_calib.config import Config
-from mocap_calib.faults import mend as faults
-from mocap_calib.faults.sides import exchanged_instead
-from mocap_calib.faults.unrelated import find_unrelated_cameras
+from mocap_calib.faults.mend import exchanged_instead
 from mocap_calib.recording.corrections import Sides
 from mocap_calib.results import Fault
 from mocap_calib.types import Camera, Recording
@@ -82,30 +80,3 @@ def test_of_three_cameras_the_two_whose_bodies_look_odd_have_exchanged_sides():
     assert exchanged_instead([fault, fault], before, worse, config) == ()
     four = ("a", "b", "c", "d")
     assert exchanged_instead([fault], known(four, [0.3] * 4), known(four, [0.4] * 4), config) == ()
-
-
-@pytest.mark.slow
-def test_a_camera_that_saw_another_time_is_unrelated(monkeypatch):
-    """One without a good pair: where its frames are others, hardly anything is explained."""
-    given = []
-
-    def find(*arguments) -> tuple[Fault, ...]:
-        given.append(arguments)
-        return ()
-
-    monkeypatch.setattr(faults, "find_unrelated_cameras", find)
-    calibrate_all(plain(people=3))
-    ((observed, group, config),) = given
-    assert find_unrelated_cameras(observed, group, config) == ()
-    pairs = tuple(
-        replace(pair, score=0.3) if ODD in (pair.a, pair.b) else pair for pair in group.pairs
-    )
-    group = replace(group, pairs=pairs)
-    assert find_unrelated_cameras(observed, group, config) == ()
-    rays = observed.sample.rays.copy()
-    rays[ODD] = np.roll(rays[ODD], len(rays[ODD]) // 2, axis=0)
-    elsewhen = replace(observed, sample=replace(observed.sample, rays=rays))
-    (fault,) = find_unrelated_cameras(elsewhen, group, config)
-    assert (fault.camera, fault.word) == (observed.recording.names[ODD], "unrelated")
-    assert fault.evidence["explained"] < 0.2
-    assert fault.evidence["explained_of_others"] > 0.8

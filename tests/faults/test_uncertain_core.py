@@ -29,7 +29,7 @@ def test_unknowns_follow_their_points_as_if_fitted_again():
     pixels = (image / image[:, 2:] @ camera.matrix.T)[:, :2] + rng.normal(0, 2.0, size=(400, 2))
     blocks = np.arange(400) // 20
     seen = Seen(points, pixels, block=blocks, keypoint=np.arange(400) % 17)
-    config = CameraFitConfig(tolerance=1e-14)
+    config = CameraFitConfig()
     fit = fit_camera(camera, seen, pose, config, noise=NOISE, free=FREE)
     bent = points + 0.002 * points[:, [1, 2, 0]] ** 2
     moved = replace(seen, points=bent)

@@ -1,4 +1,4 @@
-"""Cameras of another recording form a group of their own, or are named."""
+"""Cameras of another recording form a group of their own, or a rig that is not determined."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def put_together(first, second, views: int, others: int):
 
 @pytest.mark.slow
 def test_a_camera_of_another_recording_makes_no_rig_to_measure_with():
-    """Nobody else is accused of it."""
+    """No camera is accused of it."""
     together = put_together(scene(people=2), scene(people=2, seed=1), 3, 1)
     result = calibrate_all(together)
     (stranger,) = (name for name in together.names if name.startswith("B"))
