@@ -6,6 +6,8 @@ from typing import Literal, get_args
 
 SMALL_RIG = 17  # cameras: of up to so many nearly all see the same bodies
 
+LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
+LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
 LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in its images
 LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
 

@@ -17,6 +17,8 @@ from mocap_calib.config import (
     COMPLETION_SPREAD,
     LEAST_FORWARD,
     LEAST_JOINTS,
+    LIFT_BEST_PERCENTILE,
+    LIFT_CONFIDENCE,
     LIFT_LEAST_DEPTH,
     LIFT_UPRIGHT_SAMPLE,
 )
@@ -59,7 +61,7 @@ class _Bodies(NamedTuple):
 
 
 def lift(sample: Sample, lifter: Lifter, *, progress: Progress) -> LiftedPoses:
-    """Lift all detections with at least four joints of the model's vocabulary.
+    """Lift all detections with at least four confident joints of the model's vocabulary.
 
     The lifted body (E[X | p] of `model.py`) is freed of the virtual camera and scaled to unit size;
     its centre is where perspective puts it, in body sizes.
@@ -68,8 +70,7 @@ def lift(sample: Sample, lifter: Lifter, *, progress: Progress) -> LiftedPoses:
     a single subject can be calibrated by geometry alone.
     """
     check_joints(sample)
-    present = np.where((sample.confidence > 0)[..., None], sample.rays, np.nan)
-    rays = rays_by_joint(present, sample.vocabulary, lifter.config.joints)
+    rays = rays_by_joint(_confident_rays(sample), sample.vocabulary, lifter.config.joints)
     enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS  # [view, frame, instance]
     lifting = _Lifting(rays[enough], lifter, progress)
     with single_threaded_libraries():
@@ -82,6 +83,24 @@ def _spread_out(values: Floats, enough: Bools) -> Floats:
     found = np.full((*enough.shape, *values.shape[1:]), np.nan)
     found[enough] = values
     return found
+
+
+def _confident_rays(sample: Sample) -> Floats:
+    """Return the rays `[view, frame, instance, keypoint, 3]` of confident joints, NaN elsewhere.
+
+    Detectors report hidden joints with low confidence; the network was trained on joints that are
+    either seen or missing.
+    """
+    best = np.array([_best_confidence(confidence) for confidence in sample.confidence])
+    least = LIFT_CONFIDENCE * best[:, None, None, None]
+    confident = sample.seen & (sample.confidence >= least)
+    return np.where(confident[..., None], sample.rays, np.nan)
+
+
+def _best_confidence(confidence: Floats) -> float:
+    """Return a high percentile of the confidences of a view, 1 where it has no detection."""
+    positive = confidence[confidence > 0]
+    return float(np.percentile(positive, LIFT_BEST_PERCENTILE)) if len(positive) else 1.0
 
 
 def rays_by_joint(rays: Floats, vocabulary: Ints, joints: int) -> Floats:

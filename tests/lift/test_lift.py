@@ -17,6 +17,7 @@ from mocap_calib.lift.lift import (
     _DOWN,
     _centre,
     _confidence_of_lifted,
+    _confident_rays,
     _lift_rays,
     _Lifting,
     lift,
@@ -136,6 +137,15 @@ def test_a_network_is_as_wrong_as_its_mean_joint(monkeypatch):
         lambda *_: (target + torch.tensor([0.0, 1.0, 0.0]), None), None, None, None
     )
     assert found == pytest.approx({"joint_3d": 1.0, "steered_2d": 1.0, "completed_2d": 1.0})
+
+
+def test_joints_are_lifted_by_the_confidence_that_their_view_reaches_at_its_best():
+    """So a detector whose confidences are a tenth of another's has the same ones lifted."""
+    sample = recording()
+    small = replace(sample, confidence=0.1 * sample.confidence)
+    rays = _confident_rays(sample)
+    np.testing.assert_array_equal(_confident_rays(small), rays)
+    assert np.isfinite(rays).sum() > 0.9 * np.isfinite(sample.rays).sum()
 
 
 def test_a_direction_is_given_up_only_when_it_is_no_better():
