@@ -159,9 +159,6 @@ def conclude_without_pairs(
     )
 
 
-# --- causes
-
-
 def _covariance(group: GroupResult, faults: Sequence[Fault]) -> Iterator[Cause]:
     """Yield the standard deviation of each camera, with what would lower it."""
     sigma = np.rad2deg(group.uncertainty.covariance.rotation_sigma)
@@ -231,12 +228,17 @@ def _left_open(group: GroupResult) -> Iterator[Cause]:
 
 
 def _uncorrected(group: GroupResult, faults: Sequence[Fault]) -> Iterator[Cause]:
-    """Yield the faults of files that harm the rig and were not corrected."""
+    """Yield what harms the rig and was not corrected: faults of files, and outlier cameras."""
     cameras = {_own(name) for name in group.rig.names}
     for fault in faults:
         if fault.camera in cameras and fault.mend is None and fault.word in _HARMFUL:
             meaning = f"{fault.camera}: {fault.says}, which was not corrected"
             yield Cause(fault.word, fault.camera, OPEN_DEG, meaning, "correct its files")
+    for name, outlier in zip(group.rig.names, group.uncertainty.outlier_cameras, strict=True):
+        if outlier:
+            meaning = f"{name}: the other cameras contradict it, and no correction was found"
+            remedy = "check its keypoints, its clock and its intrinsics"
+            yield Cause("inconsistent", name, OPEN_DEG, meaning, remedy)
 
 
 def _other_clocks(clocks: Clocks | None) -> Iterator[Cause]:
@@ -275,9 +277,6 @@ def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
     elif 2 * known.outlier_cameras.sum() >= len(none) or usual > config.diagnosis.core_deg:
         known = replace(known, outlier_cameras=none)
     return replace(group, uncertainty=known)
-
-
-# --- remedies for a large covariance
 
 
 def _remedy(group: GroupResult, worst: int) -> str:
