@@ -7,7 +7,7 @@ import numpy as np
 
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.rig_covariance import rig_covariance
-from mocap_calib.config import Config, DiagnosisConfig
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import changed_rig
 from mocap_calib.recording.sampling import evenly_spaced
@@ -101,9 +101,15 @@ def core_covariance(core: CoreRig, config: Config) -> RigCovariance:
     return rig_covariance(core.sample, core.rig, core.placed.matches, config)[0]
 
 
-def is_determined(covariance: RigCovariance, config: DiagnosisConfig) -> bool:
-    """Return whether what was seen determines the rig, by the yardstick of the verdict."""
-    return bool(np.rad2deg(covariance.rotation_sigma.max()) < config.core_deg)
+def is_determined(covariance: RigCovariance, config: Config, *, unknowns: bool) -> bool:
+    """Return whether the rig is determined well enough for what it says of a camera.
+
+    unknowns: whether that has some, which a rig that bends takes along. Whether images are
+        mirrored or rotated, or sides exchanged, shows in every rig that the verdict does not call
+        not determined.
+    """
+    limit = config.diagnosis.core_deg if unknowns else VERDICT_LIMITS_DEG[-1]
+    return bool(np.rad2deg(covariance.rotation_sigma.max()) < limit)
 
 
 def bent_points(

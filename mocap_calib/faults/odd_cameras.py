@@ -43,7 +43,7 @@ def find_odd_cameras(
         return ()
     for finding in certain:
         covariance = core_covariance(finding.core, config)
-        if is_determined(covariance, config.diagnosis):
+        if is_determined(covariance, config, unknowns=bool(finding.explanation.free)):
             exact = [each for each in certain if each.explanation.mend is not None]
             rivals = [[finding], exact] if len(exact) > 1 else [[finding]]
             return tuple(
