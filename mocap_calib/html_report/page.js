@@ -1,5 +1,5 @@
 /*!
-Made by `make web` of sources eecf87f93b812743b4d985f05b6dd5d269415a035c172f09f8ced71a6e88b53e
+Made by `make web` of sources 9ca80e82781b7aac30f497039e8ae39db10505e5054686506716073a0f93f259
 
 three 0.187.0
 
