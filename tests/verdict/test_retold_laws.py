@@ -62,7 +62,7 @@ def assessed(frames: int) -> tuple[CameraRig, Uncertainty]:
     """A rig, adjusted from the truth, and how sure it is."""
     given = recording(frames=frames), scene(frames=frames).rig, truth(frames=frames), Config()
     rig = adjust(*given)
-    return rig, assess_uncertainty(given[0], rig, *given[2:], seed=0)
+    return rig, assess_uncertainty(given[0], rig, *given[2:])
 
 
 SURE = dict.fromkeys(ALL, 1e-11) | {"views": 4e-4, "world": 1e-10}
@@ -89,7 +89,7 @@ def test_how_sure_a_rig_is_knows_no_order_time_mirror_or_world(how, seed):
     rng = np.random.default_rng(seed)
     rig, expected = assessed(12)
     sample, place, matches, views = told(how, rng, **SMALL)
-    found = assess_uncertainty(sample, place(rig), matches, Config(), seed=0)
+    found = assess_uncertainty(sample, place(rig), matches, Config())
     assert surer(found, expected, views) < SURE[how]
     np.testing.assert_allclose(
         found.focal_change, expected.focal_change[views], rtol=0, atol=FOCAL[how]
@@ -102,7 +102,7 @@ def test_blocks_of_time_are_cut_elsewhere_where_time_runs_backwards():
     """No exact law: of 24 frames there are blocks of one and of two. Measured 6.7 %."""
     rig, expected = assessed(24)
     sample, _, matches, views = told("time", np.random.default_rng(0), frames=24)
-    found = assess_uncertainty(sample, rig, matches, Config(), seed=0)
+    found = assess_uncertainty(sample, rig, matches, Config())
     assert 1e-3 < surer(found, expected, views) < 0.1
 
 
