@@ -130,12 +130,14 @@ def _sum_over_rays(data: Floats, rotation: Floats, direction: Floats, width: flo
 def _as_system(products: Floats) -> Floats:
     """Return the Hessian and the gradient `[6, 7]` of sums that lanes hold."""
     system = np.zeros((6, 7))
-    row = 0
-    for i in range(6):
-        for j in range(i, 7):
-            for n in range(LANES):
-                system[i, j] += products[row, n]
-            if j < 6:
+    row, (size, width) = 0, system.shape  # loops of a length known ahead would be unrolled
+    for i in range(size):
+        for j in range(i, width):
+            total = 0.0
+            for n in range(products.shape[1]):
+                total += products[row, n]
+            system[i, j] = total
+            if j < size:
                 system[j, i] = system[i, j]
             row += 1
     return system
