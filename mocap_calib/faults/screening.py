@@ -1,0 +1,174 @@
+"""Which cameras deserve a closer look: cheap signs, none of which is proof."""
+
+import numpy as np
+
+from mocap_calib.adjust.camera_fit import CameraPose, Seen, Unknown, fit_camera
+from mocap_calib.config import Config, DiagnosisConfig
+from mocap_calib.faults.hypotheses import log_bayes_factor
+from mocap_calib.geometry.lens import pixels_from_points
+from mocap_calib.recording.corrections import exchanged_sides
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import CalibrationResult, Matches
+from mocap_calib.rig.noise import view_noise
+from mocap_calib.rig.observed import Observed
+from mocap_calib.rig.tracks import (
+    Tracks,
+    gather_tracks,
+    labelled_frames,
+)
+from mocap_calib.rig.triangulate import triangulate_rays
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
+
+_FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
+_LOW_SCORE = 0.8  # of a camera's pairs, as a share of that of the other pairs
+_LEAST_PAIRED = 4  # keypoints of a detection that show whether its sides are exchanged
+_CLEARLY = 0.5  # of the error as given
+_FRAMES, _KEYPOINTS = 80, 1500  # that a camera is held against
+
+
+def screen_cameras(observed: Observed, result: CalibrationResult, config: Config) -> list[int]:
+    """Return the views that deserve a closer look, those with the worst pairs first.
+
+    A camera does that is not in the largest group, whose pairs have low scores, whose sides are
+    exchanged often, whose image is rotated beside the others', or that asks for other intrinsics.
+    Where half of the cameras are outside the largest group, either half may be wrong.
+    Of two cameras neither can be named.
+    """
+    names, group = observed.recording.names, result.groups[0]
+    if len(names) < 3:
+        return []
+    members = np.array([names.index(name) for name in group.rig.names])
+    odd = np.ones(len(names), dtype=bool)
+    odd[members] = 2 * len(members) <= len(names)
+    scores = _pair_scores(observed)
+    odd |= scores < _LOW_SCORE
+    if len(members) >= 3:
+        odd[members] |= nearest_quarter(rolls(group.rig, config.diagnosis), config.diagnosis) != 0
+        sample = observed.sample.select(views=members)
+        odd[members] |= _differ_from_others(sample, group.rig, group.adjusted.matches, config)
+    order = np.argsort(scores, kind="stable")
+    return [int(view) for view in order if odd[view]]
+
+
+def _pair_scores(observed: Observed) -> Floats:
+    """Return the mean score `[view]` of a camera's pairs, as a share of that of the other pairs."""
+    scores = np.array([pair.score for pair in observed.pairs])
+    ends = np.array([(pair.a, pair.b) for pair in observed.pairs]).reshape(-1, 2)
+    found = np.ones(len(observed.recording.cameras))
+    for view in range(len(found)):
+        own = (ends == view).any(1)
+        if own.any() and not own.all():
+            found[view] = scores[own].mean() / max(float(scores[~own].mean()), 1e-9)
+    return found
+
+
+def rolls(rig: CameraRig, config: DiagnosisConfig) -> Floats:
+    """Return how far each camera is rotated clockwise about its axis, `[view]` in degrees.
+
+    Against the down of the others' images, which must agree among themselves; NaN where they do
+    not, or where the camera looks up or down.
+    """
+    views = len(rig)
+    found = np.full(views, np.nan)
+    for view in range(views):
+        others = np.delete(np.arange(views), view)
+        down = rig.rotation[others, 1].mean(0)
+        among = [_roll(rig.rotation[other], down) for other in others]
+        if len(others) >= 2 and all(abs(roll) < config.upright_deg for roll in among):
+            found[view] = _roll(rig.rotation[view], down)
+    return found
+
+
+def _roll(rotation: Floats, down: Floats) -> float:
+    """Return the angle in degrees from an image's y to a direction `[3]` of the world, clockwise.
+
+    NaN where the camera looks nearly along it.
+    """
+    x, y, z = rotation @ down
+    if np.hypot(x, y) < np.abs(z):
+        return np.nan
+    return float(np.degrees(np.arctan2(-x, y)))
+
+
+def nearest_quarter(roll: Floats, config: DiagnosisConfig) -> Ints:
+    """Return the quarter turn (90, 180 or 270 degrees) that a roll is near, 0 where it is none."""
+    quarters = np.round(np.nan_to_num(roll) / 90)
+    near = np.abs(np.nan_to_num(roll) - 90 * quarters) < config.upright_deg
+    return np.where(near, 90 * quarters % 360, 0).astype(np.int64)
+
+
+def _differ_from_others(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Bools:
+    """Return whether cameras `[view]` ask for other intrinsics, or exchanged sides.
+
+    Each is held against the points that the others place in the rig of all.
+    """
+    diagnosis = config.diagnosis
+    # a frame of a large rig shows more and takes longer: each camera is held against all others
+    large = max(1.0, len(rig) / config.view_graph.small_rig) ** 2
+    frames = evenly_spaced(labelled_frames(matches), max(round(_FRAMES / large), 20))
+    noise = view_noise(sample, rig, matches, config.triangulate)
+    seen = gather_tracks(sample, matches, frames)
+    keypoints = len(sample.keypoints)
+    odd = np.zeros(len(rig), dtype=bool)
+    for view in range(len(rig)):
+        others = np.where(_detections_of(seen, view, keypoints), seen.weight, 0.0)
+        others[view] = 0.0
+        points, _ = triangulate_rays(
+            rig, seen.rays, weight=others, noise=noise, config=config.triangulate
+        )
+        both = np.flatnonzero(np.isfinite(points[0]) & np.isfinite(seen.pixels[view, 0]))
+        if len(both) < diagnosis.least_keypoints:
+            continue
+        exchanged = _exchanged_share(rig, view, points, seen.pixels[view], sample.keypoints)
+        both = evenly_spaced(both, _KEYPOINTS)
+        known = Seen(
+            points=points[:, both].T,
+            pixels=seen.pixels[view][:, both].T,
+            block=both * diagnosis.time_blocks // points.shape[1],
+            keypoint=both % keypoints,
+        )
+        by_intrinsics = _evidence_of_intrinsics(rig, view, known, diagnosis) > 0
+        odd[view] = by_intrinsics or exchanged > diagnosis.exchanged_share / 2
+    return odd
+
+
+def _evidence_of_intrinsics(
+    rig: CameraRig, view: int, known: Seen, config: DiagnosisConfig
+) -> float:
+    """Return the log evidence (nats) for other intrinsics than sound ones, all at once."""
+    camera = rig.cameras[view]
+    start = CameraPose(rig.rotation[view], rig.translation[view])
+    rough = config.focal_noise * camera.focal
+    fit = fit_camera(camera, known, start, config.fit, noise=rough, free=_FREE)
+    size = np.array(camera.size) if all(camera.size) else np.full(2, 2 * camera.focal)
+    sound = np.array([config.sound_focal, *(config.sound_centre * size)])
+    faulty = np.array([config.faulty_focal, *(config.faulty_centre * size)])
+    return log_bayes_factor(fit.unknowns, fit.covariance, sound, faulty)
+
+
+def _detections_of(seen: Tracks, view: int, keypoints: int) -> Bools:
+    """Return `[N]` whether a view sees anything of the body that each point is of."""
+    bodies = np.isfinite(seen.pixels[view, 0]).reshape(-1, keypoints).any(1)
+    return np.repeat(bodies, keypoints)
+
+
+def _exchanged_share(
+    rig: CameraRig, view: int, points: Floats, pixels: Floats, keypoints: tuple[str, ...]
+) -> float:
+    """Return the share of a camera's detections that fit far better with sides exchanged.
+
+    points: `[3, N]`; pixels: `[2, N]`, N = detections x keypoints.
+    """
+    order = exchanged_sides(keypoints)
+    paired = order != np.arange(len(order))
+    if not paired.any():
+        return 0.0
+    in_camera = points.T @ rig.rotation[view].T + rig.translation[view]
+    image = pixels_from_points(rig.cameras[view], in_camera).reshape(-1, len(order), 2)
+    given = pixels.T.reshape(-1, len(order), 2)
+    errors = [np.linalg.norm(image - seen, axis=-1)[:, paired] for seen in (given, given[:, order])]
+    both = np.isfinite(errors[0]) & np.isfinite(errors[1])
+    count = both.sum(1)
+    mean = [np.where(both, error, 0.0).sum(1) / np.maximum(count, 1) for error in errors]
+    enough = count >= _LEAST_PAIRED
+    return float((mean[1] < _CLEARLY * mean[0])[enough].mean()) if enough.any() else 0.0
