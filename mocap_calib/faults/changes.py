@@ -45,11 +45,10 @@ def find_epochs(
     config: MovedConfig,
     *,
     least_noise: float,
-    acceptance: float,
 ) -> tuple[Epochs, float]:
-    """Return the epochs of a camera, and the evidence (nats) of their changes.
+    """Return the epochs of a camera, and by how much their changes lower its cost, a share of it.
 
-    There is one epoch, and no evidence, where no change has `acceptance` nats.
+    There is one epoch, and a gain of 0, where nothing speaks for a change.
 
     start: the pose in the rig. least_noise: radians, below which no detector is.
     """
@@ -66,12 +65,12 @@ def find_epochs(
         if not tried:
             break
         best = int(_total_costs(tried, seen, config)[0].argmin())
-        (before, after), detections = _total_costs([found[-1], tried[best]], seen, config)
+        (before, after), _ = _total_costs([found[-1], tried[best]], seen, config)
         found.append(tried[best])
-        if detections * (before / max(after, 1e-12) - 1) < 1:
+        if before < (1 + config.least_gain) * after:
             break
     costs, detections = _total_costs(found, seen, config)
-    return _choose_number(found, costs, detections, config, acceptance)
+    return _choose_number(found, costs, detections, config)
 
 
 def own_costs(epochs: Epochs, tolerance: float, seen: Sightings, config: MovedConfig) -> Floats:
@@ -80,15 +79,14 @@ def own_costs(epochs: Epochs, tolerance: float, seen: Sightings, config: MovedCo
     return cost[_epoch_of(epochs.starts, len(seen.frame)), np.arange(len(seen.frame))]
 
 
-def change_at_a_glance(start: CameraPoses, seen: Sightings, config: MovedConfig) -> float:
-    """Return how far the errors of a camera change at one moment, above 1 = look closer.
+def stands_out(start: CameraPoses, seen: Sightings, config: MovedConfig) -> bool:
+    """Return whether the errors of a camera change at some moment more than those of others do.
 
-    Of two signs the larger: the share of the squared errors that a small change of pose explains,
-    and the step of the mean cost. start: its pose in the rig. Cheap: nothing is refined.
+    start: its pose in the rig. Cheap: nothing is refined.
     """
     detections, least = len(seen.frame), _least(seen, config)
     if detections < 2 * least:
-        return 0.0
+        return False
     tolerance = config.loose * float(np.median(seen.angular_size))
     problem = linearise(start, seen, tolerance, config.least_joints)
     normal, target = problem.normal[0], problem.target[0]
@@ -101,8 +99,7 @@ def change_at_a_glance(start: CameraPoses, seen: Sightings, config: MovedConfig)
     )
     balance = 2 * np.sqrt(moments * (detections - moments)) / detections
     step = np.abs(after - before) * balance
-    share = float(gains.max()) / max(float(left), 1e-300)
-    return max(share / config.suspicious_gain, float(step.max()) / config.suspicious_step)
+    return bool(gains.max() > config.suspicious_gain * left or step.max() > config.suspicious_step)
 
 
 def last_moments(
@@ -203,7 +200,7 @@ def _propose_splits(
             small.append(_small_split(epochs, epoch, span, least=least, seen=seen, config=config))
             large.append(_large_split(epoch, span, proposed, np.nan_to_num(costs), least=least))
     best = [max(splits, key=lambda split: split.gain) for splits in (small, large) if splits]
-    worth = 0.03 * len(seen.frame)  # else small steps do as well
+    worth = config.large_gain * len(seen.frame)
     return [split for split in best if not split.is_large or split.gain > worth]
 
 
@@ -258,7 +255,7 @@ def _refine(
     detections = len(seen.frame)
     widest, least_noise = angles
     tolerances = np.geomspace(widest, widest / 10, config.steps)
-    for _ in range(3):
+    for _ in range(config.rounds):
         own = _members(starts, detections)
         poses = refine_poses(
             poses,
@@ -302,20 +299,17 @@ def _move_starts(starts: Ints, cost: Floats, least: int) -> Ints:
 
 
 def _choose_number(
-    found: list[Epochs], costs: Floats, detections: int, config: MovedConfig, acceptance: float
+    found: list[Epochs], costs: Floats, detections: int, config: MovedConfig
 ) -> tuple[Epochs, float]:
-    """Return the epochs that are accepted, of those with 0, 1, 2, ... changes, and their evidence.
+    """Return the epochs that are believed, of those with 0, 1, 2, ... changes, and their gain.
 
-    A change that lowers the cost of n detections by a share g has n g / 2 nats (a profile
-    likelihood), divided by what one more change would seem to have: errors that drift with the
-    subject are no independent errors, and they fall bit by bit.
-
-    costs: `[change]` of each, of so many detections. acceptance: least evidence, in nats.
+    costs: `[change]` of each, of so many detections.
     """
-    gains = np.maximum(costs[:-1] / np.maximum(costs[1:], 1e-12) - 1, 0.0) * detections
+    least = max(config.least_gain, config.least_evidence / max(detections, 1))
+    gains = costs[:-1] / np.maximum(costs[1:], 1e-12) - 1
+    further = np.append(np.maximum(gains[1:], 0.0), 0.0)
     for changes in range(min(len(gains), config.most_changes), 0, -1):
-        further = max(1.0, float(gains[changes:].max(initial=0.0)))
-        evidence = min(float(gains[:changes].min()), float(gains[changes - 1]) / further) / 2
-        if evidence >= acceptance:
-            return found[changes], evidence
+        enough = gains[:changes].min() >= least
+        if enough and gains[changes - 1] >= config.least_contrast * further[changes - 1]:
+            return found[changes], float(costs[0] / costs[changes] - 1)
     return found[0], 0.0

@@ -61,7 +61,7 @@ def find_problems(
         *find_still_subjects(usable, report["cameras"], config),
         *find_poor_views(usable, report["pairs"], meanings, config),
         *_find_name_problems(usable, meanings, known_joints=report["model"]["knows"]),
-        *_find_copies(usable, meanings),
+        *_find_copies(usable, meanings, config),
         *(finding for view in views for finding in _find_weaknesses(view, config)),
     ]
     if cameras and not any(finding.critical for finding in found):
@@ -102,11 +102,13 @@ def _find_too_few_views(usable: Sequence[Keypoints2D]) -> list[Finding]:
     ]
 
 
-def _find_copies(usable: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> list[Finding]:
-    """Name the pairs of cameras with the same detections; `run` refuses only what is certain."""
+def _find_copies(
+    usable: Sequence[Keypoints2D], meanings: Mapping[str, str], config: InspectConfig
+) -> list[Finding]:
+    """Name the pairs of cameras with the same detections."""
     return [
         critical(f"{copy.says}; give each camera its own file")
-        for copy in find_copies(usable, meanings, least_detections=1)
+        for copy in find_copies(usable, meanings, config.copies)
     ]
 
 

@@ -13,19 +13,13 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.config import CopyConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints, Keypoints2D
 from mocap_calib.wording import count
 
-# of the coordinates, as a share of where the detections are: files keep three decimals, or single
-# precision. Of the shared recordings no detection of one camera was within a pixel of another
-# camera's in all its keypoints
-_TOLERANCE = 2e-5
-_LEAST_DETECTIONS = 20  # distinct ones, of the file that has fewer
-_COMPARED = 200  # detections of that file, evenly spread,
-_CANDIDATES = 20  # each with so many whose mean is the same
-_LEAST_SHARE = 0.9  # of the compared detections, that must be in the other file at one shift
+_DEFAULT = CopyConfig()
 
 
 @dataclass(frozen=True)
@@ -81,14 +75,11 @@ def check_copies(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> N
 
 
 def find_copies(
-    views: Sequence[Keypoints2D],
-    meanings: Mapping[str, str],
-    least_detections: int = _LEAST_DETECTIONS,
+    views: Sequence[Keypoints2D], meanings: Mapping[str, str], config: CopyConfig = _DEFAULT
 ) -> list[Copy]:
     """Return the pairs of views with the same detections, in any order, at a constant shift.
 
-    meanings: of the names of their keypoints. least_detections: distinct ones of a file; with
-        fewer nothing is reported.
+    meanings: of the names of their keypoints.
     """
     columns = _shared_columns(views, meanings)
     if not views or not columns[0].size:
@@ -101,7 +92,7 @@ def find_copies(
         shift = _find_shift(
             (views[fewer], columns[fewer], found[fewer]),
             (views[more], columns[more], found[more]),
-            least_detections,
+            config,
         )
         if shift is not None:
             copies.append(Copy(views[a], views[b], shift if fewer == a else -shift))
@@ -137,21 +128,21 @@ def _list_detections(view: Keypoints2D, columns: Ints) -> _Detections:
 def _find_shift(
     fewer: tuple[Keypoints2D, Ints, _Detections],
     more: tuple[Keypoints2D, Ints, _Detections],
-    least_detections: int,
+    config: CopyConfig,
 ) -> int | None:
     """Return by how many frames the second view is later, None where it is another camera's.
 
     Each is a view, its columns and its detections; the first has no more than the second.
     """
     (first, first_columns, here), (second, second_columns, there) = fewer, more
-    tolerance = _TOLERANCE * float(np.abs(here.key).max(initial=0.0))
+    tolerance = config.tolerance * float(np.abs(here.key).max(initial=0.0))
     distinct = np.flatnonzero(np.diff(here.key, prepend=-np.inf) > tolerance)
-    if len(distinct) < least_detections:
+    if len(distinct) < config.least_detections:
         return None
-    chosen = evenly_spaced(distinct, _COMPARED)
+    chosen = evenly_spaced(distinct, config.compared_detections)
     low = np.searchsorted(there.key, here.key[chosen] - tolerance)
     high = np.searchsorted(there.key, here.key[chosen] + tolerance)
-    number = np.minimum(high - low, _CANDIDATES)
+    number = np.minimum(high - low, config.candidates)
     of = np.repeat(np.arange(len(chosen)), number)
     candidate = low[of] + np.arange(len(of)) - np.repeat(number.cumsum() - number, number)
     own = chosen[of]
@@ -164,6 +155,6 @@ def _find_shift(
     values, counts = np.unique(
         np.unique(np.column_stack([of, shifts])[equal], axis=0)[:, 1], return_counts=True
     )
-    if not len(values) or counts.max() < _LEAST_SHARE * len(chosen):
+    if not len(values) or counts.max() < config.least_share * len(chosen):
         return None
     return int(values[counts.argmax()])
