@@ -240,8 +240,8 @@ class AdjustConfig:
     # Standard deviations beyond which a ray does not constrain a point. Far more than an outlier of
     # triangulation: the rig is not yet right, and the robust loss deals with outliers.
     outlier: float = 20.0
-    # One after the other, to tighten the loss. At the last one normal errors are used with 86 % of
-    # the efficiency that there can be, and wrong ones move a rig less than at twice as much.
+    # One after the other, to tighten the loss, until the errors of the recording ask for no
+    # narrower one: the first is for starts alone.
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
     # Share of the cost: a step of the cameras that promises to lower it by less is the last one at
     # the last loss scale ...

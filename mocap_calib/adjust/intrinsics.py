@@ -249,7 +249,14 @@ def _adjust(
     prior = prior / np.sqrt(found.overconfidence)
     free = free_intrinsics(shared_intrinsics(given, settings), prior)
     start = problem.start(found.change)
-    state = solve(start, seen, free, config.adjust, already_close=already_close)
+    state = solve(
+        start,
+        seen,
+        free,
+        config.adjust,
+        last=problem.loss_scale,
+        already_close=already_close,
+    )
     state = optimise_points(state, seen, loss_scale=problem.loss_scale)
     covariance = find_covariance(
         state,

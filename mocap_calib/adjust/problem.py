@@ -15,7 +15,7 @@ from mocap_calib.kernels.loading import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches
 from mocap_calib.rig.labels import per_frame_labels
-from mocap_calib.rig.noise import view_residual
+from mocap_calib.rig.noise import measure_residuals
 from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Recording, Sample
@@ -66,17 +66,18 @@ def solve(
     parameters: Parameters,
     config: AdjustConfig,
     *,
+    last: float,
     already_close: bool = False,
 ) -> State:
     """Return the state of least robust cost, under a loss that is tightened in steps.
 
     Its points have yet to be optimised after the last of them (`solve.optimise_points`).
-    already_close: only the last step is needed.
+    last: scale of the loss at the end. already_close: only the last step is needed.
     """
     state, rough = start, config.rough_tolerance
-    *wider, last = config.loss_scales
-    for scale in () if already_close else wider:
-        state = minimise(state, seen, parameters, loss_scale=scale, tolerance=rough)
+    for scale in () if already_close else config.loss_scales:
+        if scale > last:
+            state = minimise(state, seen, parameters, loss_scale=scale, tolerance=rough)
     return minimise(state, seen, parameters, loss_scale=last, tolerance=config.tolerance)
 
 
@@ -166,8 +167,8 @@ def problem_of_frames(
     The least confident detections of each view are left out: detectors repeat their errors from
     frame to frame, so that these do not average out.
     """
-    noise, tracks = do_both(
-        lambda: view_residual(recording, rig, matches, config.triangulate),
+    (noise, errors), tracks = do_both(
+        lambda: measure_residuals(recording, rig, matches, config.triangulate),
         lambda: gather_tracks(recording, matches, frames),
     )
     weight = drop_low_confidence(tracks.weight, config.adjust)
@@ -183,8 +184,25 @@ def problem_of_frames(
         points=points,
         tracks=agreed,
         noise=noise,
-        loss_scale=config.adjust.loss_scales[-1],
+        loss_scale=choose_loss_scale(errors, config.adjust.loss_scales[1:]),
     )
+
+
+def choose_loss_scale(errors: Floats, scales: tuple[float, ...]) -> float:
+    """Return the scale under which errors move an estimate least, the last one of no errors.
+
+    errors: `[N]` lengths of vectors in the plane, in standard deviations.
+
+    An estimate errs by the variance E |psi|^2 / (E psi')^2, of the influence psi of an error and
+    its slope (Huber 1981: "Robust Statistics", section 3.2). Cauchy's loss has the influence u r,
+    where u = 1 / (1 + r^2 / s^2), and over all directions of the vector r the mean slope u^2.
+    """
+    if not len(errors):
+        return scales[-1]
+    square = errors**2
+    weight = 1 / (1 + square / np.square(scales)[:, None])
+    variance = (weight**2 * square).mean(1) / (weight**2).mean(1) ** 2
+    return scales[int(variance.argmin())]
 
 
 def drop_low_confidence(confidence: Floats, config: AdjustConfig) -> Floats:

@@ -55,6 +55,7 @@ def adjust_once(
         problem.rays,
         free_poses(len(rig)),
         config.adjust,
+        last=problem.loss_scale,
         already_close=already_close,
     )
     return placed_as(rig, found)

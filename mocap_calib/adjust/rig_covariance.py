@@ -68,7 +68,7 @@ def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) 
 def _solve_again(start: State, problem: Problem, config: AdjustConfig) -> State:
     """Return the state at the minimum that it is close to; its points have yet to be optimised."""
     poses = free_poses(len(problem.rig))
-    return solve(start, problem.rays, poses, config, already_close=True)
+    return solve(start, problem.rays, poses, config, last=problem.loss_scale, already_close=True)
 
 
 def _at_a_camera(problem: Problem, state: State, least: float) -> Bools:

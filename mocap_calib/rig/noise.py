@@ -41,9 +41,22 @@ def view_residual(
 
     On the same points as `view_noise`.
     """
+    return measure_residuals(recording, rig, matches, config)[0]
+
+
+def measure_residuals(
+    recording: Recording, rig: CameraRig, matches: Matches, config: TriangulateConfig
+) -> tuple[Floats, Floats]:
+    """Return what `view_residual` does, and the lengths `[N]` of the errors behind the residuals.
+
+    In standard deviations of one coordinate of each view's own; what points took up is made up for.
+    """
     tracks = _sample_tracks(recording, matches, config)
-    _, angle, counted = _measure_angles(rig, tracks.rays, tracks.weight, config)
-    return _medians_of_views(rig, angle / MEDIAN_DISTANCE, counted, config)
+    points, angle, counted = _measure_angles(rig, tracks.rays, tracks.weight, config)
+    residual = _medians_of_views(rig, angle / MEDIAN_DISTANCE, counted, config)
+    error = angle / median_angles(rig, points, tracks.weight)
+    noise = _medians_of_views(rig, error, counted, config)
+    return residual, (MEDIAN_DISTANCE * error / noise[:, None])[counted]
 
 
 def measure_errors(

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from scenes import recording, rotation_errors_deg, scene, truth, turn_cameras
 
+from mocap_calib.adjust.problem import choose_loss_scale
 from mocap_calib.adjust.refine import adjust, adjust_once
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.results import Matches
+from mocap_calib.rig.noise import MEDIAN_DISTANCE
 from mocap_calib.types import CameraRig
 
 
@@ -101,3 +103,17 @@ def test_a_camera_without_matches_is_named():
     labels[2] = -1
     with pytest.raises(DegenerateError, match="camera cam3"):
         adjust(recording(), scene().rig, Matches(labels), Config())
+
+
+@pytest.mark.parametrize(("degrees", "scale"), [(np.inf, 3.0), (2.0, 1.5), (1.0, 1.5)])
+def test_the_loss_is_as_wide_as_the_errors_ask(degrees, scale):
+    """Normal errors ask for a wide loss, Student's errors of few degrees of freedom for a narrow.
+
+    The variance of the other is larger by 13 % or more.
+    """
+    rng = np.random.default_rng(0)
+    errors = rng.normal(size=(20_000, 2))
+    if np.isfinite(degrees):
+        errors /= np.sqrt(rng.chisquare(degrees, size=20_000) / degrees)[:, None]
+    lengths = np.linalg.norm(errors, axis=1)
+    assert choose_loss_scale(lengths * MEDIAN_DISTANCE / np.median(lengths), (3.0, 1.5)) == scale
