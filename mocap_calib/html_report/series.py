@@ -10,8 +10,7 @@ from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import pack_floats
 from mocap_calib.html_report.frames import quantiles, split_evenly
 from mocap_calib.html_report.source import ReportSource
-from mocap_calib.kinematics.definitions import define
-from mocap_calib.kinematics.measure import frame_velocity
+from mocap_calib.kinematics import define, frame_velocity
 from mocap_calib.recording.joints import choose_skeleton
 from mocap_calib.recording.sampling import usual_step
 from mocap_calib.results import Poses3D

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.kinematics.measure import leg_lengths
+from mocap_calib.kinematics import leg_lengths
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.results import POINT_SOURCES, Poses3D

@@ -12,7 +12,7 @@ import numpy as np
 from mocap_calib.config import CueConfig, ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import body_size
-from mocap_calib.kinematics.measure import quantile_over_frames
+from mocap_calib.kinematics import quantile_over_frames
 from mocap_calib.results import Poses3D, RigCovariance
 from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, World
 from mocap_calib.world.align import find_culprit

@@ -11,7 +11,7 @@ from mocap_calib.io.poses import trc
 from mocap_calib.io.poses.common import PoseFile, known_edges
 from mocap_calib.io.poses.read import join_individuals, parse_poses
 from mocap_calib.io.results.poses_h5 import poses_to_h5
-from mocap_calib.kinematics.definitions import define
+from mocap_calib.kinematics import define
 from mocap_calib.recording.joints import fit_vocabulary
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Recording

@@ -43,8 +43,7 @@ def command(
     from mocap_calib.io.conversion import load_pose_sources
     from mocap_calib.io.kinds import check_sources
     from mocap_calib.io.results.kinematics_csv import write_kinematics
-    from mocap_calib.kinematics.definitions import define
-    from mocap_calib.kinematics.measure import measure
+    from mocap_calib.kinematics import define, measure
     from mocap_calib.recording.joints import fit_vocabulary
     from mocap_calib.wording import count
     from mocap_calib_cli import outputs

@@ -21,7 +21,7 @@ from mocap_calib.io.poses.common import (
     lost_quality,
 )
 from mocap_calib.io.units import ARBITRARY
-from mocap_calib.kinematics.measure import bone_lengths
+from mocap_calib.kinematics import bone_lengths
 from mocap_calib.types import Floats, PosedCamera
 
 _SHARE = 0.004  # radius of a point, in sizes of the scene

@@ -15,7 +15,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.geometry.rotation import nearest_rotation, turn_between
 from mocap_calib.io.poses.common import PoseFile, known_edges
-from mocap_calib.kinematics.measure import bone_lengths
+from mocap_calib.kinematics import bone_lengths
 from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.records import Record
 from mocap_calib.types import Bools, Floats, Ints

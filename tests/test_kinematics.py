@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from scenes import scene
 
-from mocap_calib.config import KinematicsConfig
 from mocap_calib.io.poses.common import PoseFile, bare_poses
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.io.results.kinematics_csv import bones_csv, kinematics_csv, write_kinematics
-from mocap_calib.kinematics.definitions import define
-from mocap_calib.kinematics.measure import (
+from mocap_calib.kinematics import (
     average_around,
     bone_lengths,
+    define,
     find_contacts,
     frame_velocity,
     joint_angle,
@@ -133,10 +132,9 @@ def test_contacts_need_a_floor_a_rate_feet_and_legs():
 def test_a_body_that_hangs_has_no_contacts():
     leg = np.array([1.0])
     high = np.full((20, 1, 1), 0.5)
-    config = KinematicsConfig()
-    assert not find_contacts(high, np.zeros_like(high), leg, config).any()
-    assert find_contacts(0.1 + 0 * high, np.zeros_like(high), leg, config).all()
-    assert np.isnan(find_contacts(high, np.zeros_like(high), np.array([np.nan]), config)).all()
+    assert not find_contacts(high, np.zeros_like(high), leg).any()
+    assert find_contacts(0.1 + 0 * high, np.zeros_like(high), leg).all()
+    assert np.isnan(find_contacts(high, np.zeros_like(high), np.array([np.nan]))).all()
     still = np.zeros((3, 1, 3, 3))
     still[..., 1, 2], still[..., 2, 2] = 0.4, 0.9
     assert leg_lengths(still, ((0, 1, 2),)) == pytest.approx([0.9])

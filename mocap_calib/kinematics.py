@@ -1,21 +1,112 @@
-"""Bone lengths, joint angles, speeds and foot contacts of 3D poses."""
+"""Bone lengths, joint angles, speeds and foot contacts of 3D poses.
 
-from collections.abc import Sequence
+What is measured of a kind of body is the section `kinematics` of its skeleton's file. Joints stand
+there without their sides. A list in place of a joint is a choice: the first that the recording has
+counts.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import KinematicsConfig
 from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.geometry.rotation import direction_angle
-from mocap_calib.kinematics.definitions import Definitions, define
-from mocap_calib.recording.joints import choose_skeleton
+from mocap_calib.recording.joints import (
+    choose_skeleton,
+    edges_of_keypoints,
+    load_section,
+    match_names,
+)
 from mocap_calib.records import Record
 from mocap_calib.results import Poses3D
-from mocap_calib.types import Floats, Ints
+from mocap_calib.types import Floats, Ints, Skeleton
 
 _CONFIG = KinematicsConfig()
 BODY = "body"  # whose speed is that of the trunk
+_SIDES = ("left_", "right_")
+
+
+@dataclass(frozen=True)
+class Definitions:
+    """What can be measured of a recording; numbers are indices of its keypoints.
+
+    edges: pairs that a bone joins.
+    angles: name -> (end, vertex, end).
+    trunk: keypoints that move as the body does.
+    legs: chains of keypoints from the hip down.
+    feet: name -> keypoints of which one touches the floor where the foot does.
+    """
+
+    edges: tuple[tuple[int, int], ...]
+    angles: Mapping[str, tuple[int, int, int]]
+    trunk: tuple[int, ...]
+    legs: tuple[tuple[int, ...], ...]
+    feet: Mapping[str, tuple[int, ...]]
+
+
+def define(
+    keypoints: Sequence[str], skeleton: Skeleton, aliases: Mapping[str, str] | None = None
+) -> Definitions:
+    """Return what can be measured of these keypoints by the section of a shipped skeleton.
+
+    aliases: a user's names, own name -> joint.
+    """
+    section = load_section(skeleton.name, "kinematics")
+    names = tuple((aliases or {}).get(name, name) for name in keypoints)
+    vocabulary = match_names(names, skeleton)
+    known = {skeleton.keypoints[joint]: k for k, joint in enumerate(vocabulary) if joint >= 0}
+    spelt = [side + joint for joint in section.get("trunk", ()) for side in ("", *_SIDES)]
+    return Definitions(
+        edges=edges_of_keypoints(skeleton, vocabulary),
+        angles=_define_angles(section.get("angles", {}), known),
+        trunk=tuple(known[name] for name in spelt if name in known),
+        legs=tuple(_chains(section.get("leg", ()), known).values()),
+        feet=_define_feet(section.get("feet", {}), known),
+    )
+
+
+def _define_angles(
+    angles: Mapping[str, Any], known: Mapping[str, int]
+) -> dict[str, tuple[int, int, int]]:
+    """Return the angles of which the recording has all three joints."""
+    found = {}
+    for name, joints in angles.items():
+        for side, (a, vertex, b) in _chains(joints, known).items():
+            found[f"{side}{name}"] = (a, vertex, b)
+    return found
+
+
+def _define_feet(feet: Mapping[str, Any], known: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Return the feet; of several groups of joints the first of which the recording has any."""
+    found = {}
+    for name, groups in feet.items():
+        for side in _SIDES:
+            spelt = [[f"{side}{joint}" for joint in group] for group in groups]
+            own = [[known[joint] for joint in group if joint in known] for group in spelt]
+            if any(own):
+                found[f"{side}{name}"] = tuple(next(group for group in own if group))
+    return found
+
+
+def _chains(joints: Sequence[Any], known: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Return the keypoints of a chain of joints, by side; "" = a chain in the body's middle."""
+    sided = {side: [_find(joint, side, known) for joint in joints] for side in _SIDES}
+    middle = [_find(joint, "", known) for joint in joints]
+    if joints and -1 not in middle:
+        return {"": tuple(middle)}
+    return {side: tuple(own) for side, own in sided.items() if own and -1 not in own}
+
+
+def _find(joint: Any, side: str, known: Mapping[str, int]) -> int:
+    """Return the keypoint of a joint of a side, or of the middle; -1 where there is none."""
+    for name in joint if isinstance(joint, list) else [joint]:
+        for spelt in (f"{side}{name}", name):
+            if spelt in known:
+                return known[spelt]
+    return -1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,7 +139,6 @@ def measure(
     poses: Poses3D,
     fps: float | None = None,
     definitions: Definitions | None = None,
-    config: KinematicsConfig = _CONFIG,
 ) -> Kinematics:
     """Measure poses.
 
@@ -60,7 +150,7 @@ def measure(
         definitions = define(poses.keypoints, choose_skeleton(poses.keypoints))
     mean, deviation, frames = bone_lengths(poses.positions, definitions.edges)
     velocity = frame_velocity(poses.frames, poses.positions) * (1.0 if fps is None else fps)
-    contacts, reason = _contacts(poses, velocity, definitions, fps, config)
+    contacts, reason = _contacts(poses, velocity, definitions, fps)
     names = poses.keypoints
     return Kinematics(
         frames=poses.frames,
@@ -124,7 +214,6 @@ def _contacts(
     velocity: Floats,
     definitions: Definitions,
     fps: float | None,
-    config: KinematicsConfig,
 ) -> tuple[dict[str, Floats], str]:
     """Return the contacts of each foot, or why there are none.
 
@@ -143,7 +232,7 @@ def _contacts(
             "the keypoints have no whole leg (hip, knee, foot), which heights are measured by",
         )
     leg = leg_lengths(poses.positions, definitions.legs)
-    reach = round(config.window * fps)
+    reach = round(_CONFIG.window * fps)
     found = {}
     for name, points in definitions.feet.items():
         own = list(points)
@@ -151,7 +240,7 @@ def _contacts(
         height = average_around(poses.frames, above, reach)
         mean_velocity = average_around(poses.frames, velocity[:, :, own], reach)
         speed = np.linalg.norm(mean_velocity, axis=-1)
-        contacts = find_contacts(height, speed, leg, config)
+        contacts = find_contacts(height, speed, leg)
         known = np.isfinite(contacts)
         any_ = np.where(known, contacts, 0.0).max(-1)
         found[name] = np.where(known.any(-1), any_, np.nan)
@@ -170,7 +259,7 @@ def leg_lengths(positions: Floats, legs: Sequence[Sequence[int]]) -> Floats:
     return mean_of_known(lengths, 0)
 
 
-def find_contacts(height: Floats, speed: Floats, leg: Floats, config: KinematicsConfig) -> Floats:
+def find_contacts(height: Floats, speed: Floats, leg: Floats) -> Floats:
     """Return 1 where a point stands on the floor, 0 where it does not, NaN = not known.
 
     A joint lies above the sole, so heights count from the lowest that it usually has, as far as
@@ -180,12 +269,14 @@ def find_contacts(height: Floats, speed: Floats, leg: Floats, config: Kinematics
         `[individual]` length of a leg.
     """
     length = leg[:, None]
-    rest = quantile_over_frames(height, config.rest_quantile)
-    most = 2 * config.contact_height * length  # an ankle's is 0.1; more is a body that never stands
+    rest = quantile_over_frames(height, _CONFIG.rest_quantile)
+    most = (
+        2 * _CONFIG.contact_height * length
+    )  # an ankle's is 0.1; more is a body that never stands
     rest = np.clip(rest, -most, most)
     with np.errstate(invalid="ignore"):
-        low = height - rest < config.contact_height * length
-        slow = speed < config.contact_speed * length
+        low = height - rest < _CONFIG.contact_height * length
+        slow = speed < _CONFIG.contact_speed * length
     known = np.isfinite(height) & np.isfinite(speed) & np.isfinite(length)
     return np.where(known, low & slow, np.nan)
 
