@@ -113,7 +113,6 @@ DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/training/", "mocap_calib/paper/"),
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),
     "pycolmap": (
-        "mocap_calib/geometry/colmap.py",
         "mocap_calib/io/cameras/colmap_model.py",
         "mocap_calib/paper/five_point.py",
     ),

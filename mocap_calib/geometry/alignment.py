@@ -4,6 +4,8 @@ A similarity of the world changes the place, turn and size of a rig, and these m
 cameras are from where they should be is what is left after the best similarity between two rigs.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mocap_calib import mapped
@@ -17,8 +19,26 @@ from mocap_calib.geometry.rotation import (
 from mocap_calib.types import CameraRig, Floats
 
 
-def align_by_similarity(source: Floats, target: Floats) -> tuple[float, Floats, Floats]:
-    """Return scale s, rotation R `[3, 3]` and shift t `[3]` that minimise sum |s R x + t - y|^2.
+class Similarity(NamedTuple):
+    """How points move: x' = scale R x + shift, with a rotation `[3, 3]` and a shift `[3]`."""
+
+    scale: float
+    rotation: Floats
+    shift: Floats
+
+    def apply(self, points: Floats) -> Floats:
+        """Return points `[..., 3]` where they are then."""
+        return self.scale * points @ self.rotation.T + self.shift
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing moves, to the last digit."""
+        turned = not np.array_equal(self.rotation, np.eye(3))
+        return not turned and not self.shift.any() and self.scale == 1
+
+
+def align_by_similarity(source: Floats, target: Floats) -> Similarity:
+    """Return the similarity s, R, t that minimises sum |s R x + t - y|^2.
 
     source: `[N, 3]` points x. target: `[N, 3]` points y (Umeyama 1991, eqs. 38-42).
 
@@ -36,7 +56,7 @@ def align_by_similarity(source: Floats, target: Floats) -> tuple[float, Floats, 
     rotation = nearest_rotation(y.T @ x)
     scale = float(np.trace(rotation @ x.T @ y) / variance)
     shift = target_mean - scale * rotation @ source_mean
-    return scale, rotation, shift
+    return Similarity(scale, rotation, shift)
 
 
 def rig_change(before: CameraRig, after: CameraRig) -> Floats:

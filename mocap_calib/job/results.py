@@ -41,7 +41,7 @@ from mocap_calib.report import run_report
 from mocap_calib.report_verdict import verdict_of_cameras
 from mocap_calib.results import CalibrationResult, GroupResult, ObservedPoints
 from mocap_calib.rig.observed_points import observe_points
-from mocap_calib.world.body import stated_joints
+from mocap_calib.world.floor import stated_joints
 
 # in the folder of results: the pairs of a run that is under way or was killed
 UNFINISHED = ".unfinished"

@@ -31,7 +31,7 @@ from mocap_calib.recording.epochs import own_name
 from mocap_calib.results import RigCovariance
 from mocap_calib.types import ARBITRARY, CameraRig, World
 from mocap_calib.wording import count
-from mocap_calib.world.body import find_joints
+from mocap_calib.world.floor import find_joints
 from mocap_calib.world.lengths import Scale, find_scale, scaled_world
 from mocap_calib.world.place import measurable
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError, suggest
-from mocap_calib.geometry.alignment import align_by_similarity, rig_size
+from mocap_calib.geometry.alignment import Similarity, align_by_similarity, rig_size
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.results import RigCovariance
@@ -20,7 +20,6 @@ from mocap_calib.rig.triangulate import triangulate_pixels
 from mocap_calib.types import METRES, Bools, Camera, CameraRig, Floats, MeasuredLandmark
 from mocap_calib.verdict.evaluation import with_axes
 from mocap_calib.wording import count, one_line
-from mocap_calib.world.moving import Similarity
 
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 LEAST_LANDMARKS = 3  # that determine a similarity
@@ -50,7 +49,7 @@ class _Stated:
     def fit(self, some: Bools, config: WorldConfig) -> "_Fit":
         """Return the best similarity of those that a mask `[N]` leaves."""
         found, known = self.found[some], self.known[some]
-        by = Similarity(*align_by_similarity(found.reshape(-1, 3), known.reshape(-1, 3)))
+        by = align_by_similarity(found.reshape(-1, 3), known.reshape(-1, 3))
         distance = np.linalg.norm(by.apply(found[:, 0]) - known[:, 0], axis=1)
         stated = config.stated_sigma * _extent(known[:, 0])
         off = distance / np.hypot(stated, by.scale * self.sigma[some])

@@ -16,8 +16,7 @@ from mocap_calib.kinematics import quantile_over_frames
 from mocap_calib.results import Poses3D, RigCovariance
 from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, World
 from mocap_calib.world.align import find_culprit
-from mocap_calib.world.body import Joints, distance, lengths_of_legs, stand_straight
-from mocap_calib.world.floor import Floor
+from mocap_calib.world.floor import Floor, Joints, distance, lengths_of_legs, stand_straight
 from mocap_calib.world.requested import (
     OTHER_CUES,
     camera_pair,
@@ -36,7 +35,7 @@ _RESCALED = "axes and origin are those of the file; lengths follow from known on
 class Measurable:
     """Results in which lengths are measured.
 
-    poses: a sample of them, see `world.body.sample_poses`. floor: or the reason why there is none.
+    poses: a sample of them, see `world.floor.sample_poses`. floor: or the reason why there is none.
     covariance: of the rig. individuals: `[individual]` names besides numbers.
     """
 

@@ -2,20 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError
+from mocap_calib.geometry.alignment import Similarity
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.results import CalibrationResult, GroupResult, Poses3D, RigCovariance
 from mocap_calib.types import METRES, CameraRig, Floats, World
 from mocap_calib.world.align import align_to_cameras, align_to_landmarks, describe_alignment
-from mocap_calib.world.body import Joints, joints_of_recording, sample_poses
-from mocap_calib.world.floor import Floor, find_floor
+from mocap_calib.world.floor import Floor, Joints, find_floor, joints_of_recording, sample_poses
 from mocap_calib.world.lengths import Measurable, Scale, check_unit, find_scale, scaled_world
-from mocap_calib.world.moving import Similarity, move_group
 from mocap_calib.world.requested import camera_pair, joint_pair
 
 
@@ -248,3 +248,43 @@ def _has_cameras(group: GroupResult, cue: ScaleCue) -> bool:
     except MismatchError:
         return False
     return True
+
+
+def move_rig(rig: CameraRig, by: Similarity, unit: str, world: World) -> CameraRig:
+    """Return a rig in other coordinates, whose unit and world are said."""
+    if by.still:
+        return replace(rig, unit=unit, world=world)
+    rotation = nearest_rotation(rig.rotation @ by.rotation.T)  # a file holds it to the last digit
+    translation = by.scale * rig.translation - rotation @ by.shift
+    return replace(rig, rotation=rotation, translation=translation, unit=unit, world=world)
+
+
+def move_poses(poses: Poses3D, by: Similarity, unit: str, world: World) -> Poses3D:
+    """Return poses in other coordinates, whose unit and world are said."""
+    if by.still:
+        return replace(poses, unit=unit, world=world)
+    return replace(poses.scale(by.scale, unit).turn(by.rotation, by.shift), world=world)
+
+
+def move_covariance(covariance: RigCovariance, by: Similarity) -> RigCovariance:
+    """Return the covariance of a rig in other coordinates: its axes turn, its size scales."""
+    turn = np.kron(np.eye(2), by.rotation)  # turns of the cameras, and shifts of their centres
+    matrix = np.einsum("ij,vjwk,lk->viwl", turn, covariance.matrix, turn)
+    return replace(covariance, matrix=matrix, size=by.scale * covariance.size)
+
+
+def move_group(group: GroupResult, by: Similarity, unit: str, world: World) -> GroupResult:
+    """Return all that is known of a group of cameras in other coordinates.
+
+    A rig reversed in depth stays where it is: nothing of it was measured.
+    """
+    averaged = move_rig(group.averaged.rig, by, unit, world)
+    adjusted = move_rig(group.rig, by, unit, world)
+    covariance = move_covariance(group.uncertainty.covariance, by)
+    changes: dict[str, Any] = {
+        "averaged": replace(group.averaged, rig=averaged),
+        "adjusted": replace(group.adjusted, rig=adjusted),
+        "uncertainty": replace(group.uncertainty, covariance=covariance),
+        "poses": move_poses(group.poses, by, unit, world),
+    }
+    return replace(group, **changes)

@@ -8,8 +8,7 @@ from mocap_calib.recording.epochs import own_names, views_by_camera
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.types import METRES, Recording
 from mocap_calib.world.align import check_landmarks, stated_rig
-from mocap_calib.world.body import Joints, joints_of_recording
-from mocap_calib.world.floor import NO_FEET
+from mocap_calib.world.floor import NO_FEET, Joints, joints_of_recording
 
 OTHER_CUES = "use --length or --camera-distance"
 _METRES = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048}

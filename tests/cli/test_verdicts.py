@@ -9,13 +9,14 @@ import pytest
 from click.testing import CliRunner, Result
 
 from mocap_calib.errors import MocapCalibError
+from mocap_calib.geometry.alignment import Similarity
 from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.job import steps
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.report import rig_report
 from mocap_calib.results import VERDICTS, CalibrationResult, Cause, Verdict
 from mocap_calib.verdict import verdict
-from mocap_calib.world.moving import Similarity, move_group
+from mocap_calib.world.place import move_group
 from mocap_calib_cli.commands import adjust, batch, run
 from mocap_calib_cli.main import group
 from mocap_calib_cli.options import SharedOptions

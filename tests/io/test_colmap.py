@@ -10,9 +10,9 @@ import pycolmap
 import pytest
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.geometry.colmap import silent_colmap
 from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.io.cameras.colmap_model import silent_colmap
 from mocap_calib.io.cameras.common import COLMAP_LENSES
 from mocap_calib.io.cameras.read import load_cameras, make_rig
 from mocap_calib.io.cameras.write import format_rig, write_cameras

@@ -9,6 +9,7 @@ from scenes import recording, scene, truth
 
 from mocap_calib import mapped
 from mocap_calib.config import Config, PosesConfig
+from mocap_calib.geometry.alignment import Similarity
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.poses.choose import error_of_mean
@@ -19,7 +20,7 @@ from mocap_calib.poses.track import Body, Detections, acceleration_steps
 from mocap_calib.results import POINT_SOURCES, Matches, Poses3D, Smoothing
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Recording, World
-from mocap_calib.world.moving import Similarity, move_rig
+from mocap_calib.world.place import move_rig
 
 HARD = {"missing": 0.3, "noise_px": 4.0}
 EASY = {"people": 2}

@@ -9,8 +9,7 @@ from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
 from mocap_calib.results import Poses3D, RigCovariance
 from mocap_calib.types import Camera, CameraRig
-from mocap_calib.world.body import find_joints
-from mocap_calib.world.floor import Floor, find_floor
+from mocap_calib.world.floor import Floor, find_floor, find_joints
 
 TURN = matrix_from_vector(np.array([0.9, -1.1, 0.4]))
 SHIFT = np.array([3.0, -2.0, 1.0])

@@ -9,8 +9,7 @@ from test_floor import SHIFT, TURN, exact, poses_of
 
 from mocap_calib.config import FloorConfig, ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.world.body import find_joints
-from mocap_calib.world.floor import find_floor
+from mocap_calib.world.floor import find_floor, find_joints
 from mocap_calib.world.lengths import Measurable, find_scale, statures
 
 SCALE = 0.4  # of a metre

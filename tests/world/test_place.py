@@ -10,6 +10,7 @@ from test_floor import exact, level_rig, poses_of
 
 from mocap_calib.config import KnownCamera, Landmark, ScaleCue, WorldConfig
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.geometry.alignment import Similarity
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.read import make_rig, parse_content
 from mocap_calib.io.cameras.write import format_rig
@@ -20,11 +21,15 @@ from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
 from mocap_calib.results import POINT_SOURCES, RigCovariance
 from mocap_calib.types import CameraRig, MeasuredCue, MeasuredLandmark, World
 from mocap_calib.world.align import align_to_cameras, align_to_landmarks
-from mocap_calib.world.body import find_joints
-from mocap_calib.world.floor import Floor
+from mocap_calib.world.floor import Floor, find_joints
 from mocap_calib.world.lengths import Measurable
-from mocap_calib.world.moving import Similarity, move_covariance, move_poses, move_rig
-from mocap_calib.world.place import find_placement, measurable
+from mocap_calib.world.place import (
+    find_placement,
+    measurable,
+    move_covariance,
+    move_poses,
+    move_rig,
+)
 from mocap_calib.world.requested import check_world
 
 SIDES = ("left", "right", "left")

@@ -1,7 +1,7 @@
 """COLMAP's models, binary and text: folders of cameras, images, points3D, rigs and frames.
 
-pycolmap reads them (`colmap_model.py`) and writes them (`geometry.colmap`). It is loaded late, as
-it takes 0.3 s, and it reads in a process of its own, as models are other people's files.
+pycolmap reads and writes them (`colmap_model.py`). It is loaded late, as it takes 0.3 s, and it
+reads in a process of its own, as models are other people's files.
 
 * An image is a camera here: a rig that stands still has one image a camera, called after it.
 * There is no unit of length; a comment `# unit: m` in cameras.txt says ours.
@@ -138,7 +138,7 @@ def write_text(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPo
 
 def _write(rig: CameraRig, points: ObservedPoints, name: str, ending: str) -> Written:
     """Write the files of a model with this ending. name: of the format. Raises MismatchError."""
-    from mocap_calib.geometry.colmap import build_model, silent_colmap  # noqa: PLC0415 - 0.3 s
+    from mocap_calib.io.cameras.colmap_model import build_model, silent_colmap  # noqa: PLC0415 - 0.3 s
 
     need_sizes(rig, name)
     with silent_colmap(), tempfile.TemporaryDirectory() as work:
