@@ -906,25 +906,12 @@ class ReadConfig:
     least_share: float = -0.25  # a share below this is on another scale, such as -1 to 1
 
 
-@dataclass(frozen=True)
-class CopyConfig:
-    """When two files have the same detections (recording/copies.py).
-
-    tolerance: of the coordinates, as a share of where the detections are: files keep three
-        decimals, or single precision. Of the shared recordings no
-        detection of one camera was within a pixel of another camera's in all its keypoints.
-    least_detections: distinct ones, of the file that has fewer; with fewer nothing is said.
-    compared_detections: of that file, evenly spread.
-    candidates: detections whose mean is that of another one, that are compared with it.
-    least_share: of the compared detections, that must be in the other file at one shift.
-    """
-
-    tolerance: float = 2e-5
-    least_detections: int = 20
-    compared_detections: int = 200
-    candidates: int = 20
-    least_share: float = 0.9
-
+# When two files have the same detections (recording/copies.py). In the shared recordings no
+# detection of one camera was within a pixel of another camera's in all its keypoints.
+COPY_TOLERANCE = 2e-5  # of coordinates, as a share of the largest: files keep three decimals
+COPY_FEW = 20  # distinct detections, and others of one mean that one is compared with
+COPY_COMPARED = 200  # detections at most, evenly spread
+COPY_SHARE = 0.9  # of these, that must be in the other file at one shift
 
 # Files and cameras that make a recording (recording/synchronise.py)
 LEAST_JOINTS = 4  # that show how a body is turned

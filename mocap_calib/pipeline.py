@@ -32,9 +32,9 @@ from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import AUTO, choose_model
 from mocap_calib.pairs.solve import PairSolver
 from mocap_calib.poses.stage import smooth_group
-from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
+from mocap_calib.recording.timeline import clocks_of_rates, retime
 from mocap_calib.recording.views import choose_refinement
 from mocap_calib.results import CalibrationResult, Clocks, GroupResult, Matches, UnusedPair
 from mocap_calib.rig.associate import associate, label_all_frames

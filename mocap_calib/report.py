@@ -13,7 +13,7 @@ from mocap_calib.faults.clock_faults import describe_clock
 from mocap_calib.faults.words import describe_faults
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.world_fields import world_fields
-from mocap_calib.recording.epochs import describe_epochs, views_by_camera
+from mocap_calib.recording.timeline import describe_epochs, views_by_camera
 from mocap_calib.report_verdict import (
     describe_pair_sigmas,
     describe_sigma,

@@ -8,7 +8,7 @@ import numpy as np
 from mocap_calib.config import VERDICT_LIMITS_DEG
 from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement, round_sigma
 from mocap_calib.pairs.solve import all_pairs
-from mocap_calib.recording.epochs import own_name
+from mocap_calib.recording.timeline import own_name
 from mocap_calib.results import Check, GroupResult
 from mocap_calib.types import ARBITRARY
 from mocap_calib.verdict.evaluation import median_and_max

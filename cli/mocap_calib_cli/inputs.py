@@ -34,8 +34,8 @@ from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
-from mocap_calib.recording.retiming import clocks_of_rig, retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
+from mocap_calib.recording.timeline import clocks_of_rig, retime
 from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.types import CameraRig, Ints, Recording, Sample
 from mocap_calib_cli.describe import describe_recording

@@ -41,8 +41,8 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import AUTO, choose_model
-from mocap_calib.recording.retiming import clocks_from, clocks_of_rates, retime
 from mocap_calib.recording.sampling import choose_stretches, take_sample
+from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
 from mocap_calib.results import CalibrationResult, Clocks, GroupResult, LiftedPoses
 from mocap_calib.rig.large_rigs import calibrate_view_graph
 from mocap_calib.training.device import on_device

@@ -23,8 +23,8 @@ from mocap_calib.faults.changes import (
 from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.recording.corrections import Moved
-from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
+from mocap_calib.recording.timeline import own_name
 from mocap_calib.results import Fault, GroupResult, Matches
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.observed import Observed

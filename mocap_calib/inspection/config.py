@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-from mocap_calib.config import CopyConfig
-
 
 @dataclass(frozen=True)
 class InspectConfig:
@@ -15,7 +13,7 @@ class InspectConfig:
         (four cameras, one walker) is 3.0 deg off with 3 frames, 2.2 with 6, 2.1 with 10, and 0.5
         with 20. Fewest in a shared recording: 20.
     low_confidence: of half of the points.
-    copies: `run` refuses only what is certain.
+    copied: detections that two files have in common; `run` refuses only what is certain.
     gaps: share of the frame numbers between the first and the last.
     motion_frames, motion_percentile: what `inspection.motion.measure_motion` compares.
     least_motion: median over the cameras of what that returns. Measured: 0.05 of a mouse that sits
@@ -37,7 +35,7 @@ class InspectConfig:
     outside: float = 0.01
     enough_frames: int = 20
     low_confidence: float = 0.1
-    copies: CopyConfig = CopyConfig(least_detections=1)
+    copied: int = 1
     gaps: float = 0.1
     motion_frames: int = 40
     motion_percentile: float = 90.0

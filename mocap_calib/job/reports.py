@@ -25,8 +25,7 @@ from mocap_calib.job.load import load_recording
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.job.results import name_results
 from mocap_calib.recording.corrections import Mirrored, Moved, Sides, apply_mends
-from mocap_calib.recording.epochs import own_names, views_by_camera
-from mocap_calib.recording.retiming import clocks_of_rig, retime
+from mocap_calib.recording.timeline import clocks_of_rig, own_names, retime, views_by_camera
 from mocap_calib.report import SCHEMA
 from mocap_calib.results import Matches, Mend
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording

@@ -28,7 +28,8 @@ from mocap_calib.io.results.group import (
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.lift.weights import load_vocabulary
-from mocap_calib.recording.epochs import (
+from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.recording.timeline import (
     Epoch,
     epoch_folder,
     list_epochs,
@@ -36,7 +37,6 @@ from mocap_calib.recording.epochs import (
     recording_of_epoch,
     rig_of_epoch,
 )
-from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report
 from mocap_calib.report_verdict import verdict_of_cameras
 from mocap_calib.results import CalibrationResult, GroupResult, ObservedPoints

@@ -1,8 +1,8 @@
-"""Find files that were given twice: two cameras never see the same detections.
+"""Find detections that are given twice: in a frame of one file, and in the files of two cameras.
 
-Detections of two files are the same where all coordinates are, up to the digits that a file keeps.
-Subjects that stand still, and cameras side by side, look alike but never to the hundredth of a
-pixel in tens of detections.
+Detections are the same where all coordinates are, between files up to the digits that these keep:
+two cameras never see the same. Subjects that stand still, and cameras side by side, look alike but
+never to the hundredth of a pixel in tens of detections.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,13 +13,34 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import CopyConfig
+from mocap_calib.config import COPY_COMPARED, COPY_FEW, COPY_SHARE, COPY_TOLERANCE
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Floats, Ints, Keypoints2D
+from mocap_calib.types import Bools, Ints, Keypoints2D, Reals
 from mocap_calib.wording import count
 
-_DEFAULT = CopyConfig()
+_LEAST_JOINTS = 3  # seen: single points of two bodies may be the same pixel
+
+
+def find_repeated(positions: Reals) -> Bools:
+    """Return `[frame, instance]` whether an earlier detection of the frame is the same.
+
+    Two are the same where they have the same keypoints, three at least, at the same places.
+    positions: `[frame, instance, keypoint, 2]` in pixels, NaN = missing.
+    """
+    frames, instances = positions.shape[:2]
+    repeated = np.zeros((frames, instances), dtype=bool)
+    if instances < 2:
+        return repeated
+    seen = np.isfinite(positions[..., 0])
+    enough = seen.sum(-1) >= _LEAST_JOINTS
+    key = np.where(enough, np.where(seen, positions[..., 0], 0.0).sum(-1), np.nan)
+    for earlier, later in combinations(range(instances), 2):
+        alike = np.flatnonzero(key[:, earlier] == key[:, later])
+        first, second = positions[alike, earlier], positions[alike, later]
+        same = (first == second) | (np.isnan(first) & np.isnan(second))
+        repeated[alike, later] |= same.all((-1, -2))
+    return repeated
 
 
 @dataclass(frozen=True)
@@ -47,23 +68,10 @@ class Copy:
         )
 
 
-@dataclass(frozen=True)
-class _Detections:
-    """The detections of a view in the order of their keys.
-
-    key: `[detection]` the mean of the coordinates that are seen, ascending.
-    frame: `[detection]` index of the frame; instance: `[detection]`.
-    """
-
-    key: Floats
-    frame: Ints
-    instance: Ints
-
-
 def check_copies(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> None:
     """Raise MismatchError where two views have the same detections.
 
-    meanings: of the names of their keypoints, see `recording.meanings.keypoint_meanings`.
+    meanings: of the names of their keypoints, see `recording.names.keypoint_meanings`.
     """
     copies = find_copies(views, meanings)
     if copies:
@@ -75,86 +83,92 @@ def check_copies(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> N
 
 
 def find_copies(
-    views: Sequence[Keypoints2D], meanings: Mapping[str, str], config: CopyConfig = _DEFAULT
+    views: Sequence[Keypoints2D], meanings: Mapping[str, str], *, least: int = COPY_FEW
 ) -> list[Copy]:
     """Return the pairs of views with the same detections, in any order, at a constant shift.
 
-    meanings: of the names of their keypoints.
+    meanings: of the names of their keypoints. least: distinct detections of the view that has
+        fewer; of fewer nothing is certain.
     """
-    columns = _shared_columns(views, meanings)
-    if not views or not columns[0].size:
+    own = [{meanings[name]: k for k, name in enumerate(view.keypoints)} for view in views]
+    shared = [meaning for meaning in own[0] if all(meaning in of for of in own)] if own else []
+    if not shared:
         return []
+    columns = [np.array([of[meaning] for meaning in shared], dtype=np.int64) for of in own]
     pairs = zip(views, columns, strict=True)
-    found = list(map_in_threads(lambda pair: _list_detections(*pair), pairs))
+    found = map_in_threads(lambda pair: _list_detections(*pair), pairs)
     copies = []
-    for a, b in combinations(range(len(views)), 2):
-        fewer, more = sorted((a, b), key=lambda view: len(found[view].key))
-        shift = _find_shift(
-            (views[fewer], columns[fewer], found[fewer]),
-            (views[more], columns[more], found[more]),
-            config,
-        )
+    for first, second in combinations(found, 2):
+        shift = _find_shift(first, second, least)
         if shift is not None:
-            copies.append(Copy(views[a], views[b], shift if fewer == a else -shift))
+            copies.append(Copy(first.view, second.view, shift))
     return copies
 
 
-def _shared_columns(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> list[Ints]:
-    """Return the `[keypoint]` columns of the keypoints that all views have, in one order each."""
-    own = [{meanings[name]: k for k, name in enumerate(view.keypoints)} for view in views]
-    shared = [meaning for meaning in own[0] if all(meaning in of for of in own)] if own else []
-    return [np.array([of[meaning] for meaning in shared], dtype=np.int64) for of in own]
+@dataclass(frozen=True)
+class _Detections:
+    """The detections of a view, by the mean of their coordinates.
+
+    columns: `[keypoint]` of the keypoints that all views have, in one order.
+    mean: `[detection]` of the coordinates that are seen, ascending. frame: `[detection]` index of
+        the frame; instance: `[detection]`.
+    """
+
+    view: Keypoints2D
+    columns: Ints
+    mean: Reals
+    frame: Ints
+    instance: Ints
+
+    def positions(self, some: Ints) -> Reals:
+        """Return the positions `[N, keypoint, 2]` of some detections `[N]`."""
+        return self.view.positions[self.frame[some], self.instance[some]][:, self.columns]
+
+    def numbers(self, some: Ints) -> Ints:
+        """Return the numbers `[N]` of the frames of some detections `[N]`."""
+        return self.view.frames[self.frame[some]]
 
 
 def _list_detections(view: Keypoints2D, columns: Ints) -> _Detections:
-    """Return the detections of a view by their keys."""
+    """Return the detections of a view by their means."""
     parts = [(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))]
-    own = mapped.as_slice(columns)
     for rows in mapped.frame_slices(len(view.frames)):
-        block = view.positions[rows][:, :, own]
-        block = block.reshape(*block.shape[:2], -1)
+        block = view.positions[rows][:, :, mapped.as_slice(columns)]
         seen = np.isfinite(block)
-        number = np.count_nonzero(seen, axis=-1)
-        total = np.where(seen, block, 0.0) @ np.ones(block.shape[-1])
+        number = np.count_nonzero(seen, axis=(2, 3))
+        total = np.where(seen, block, 0.0).sum((2, 3))
         frame, instance = np.nonzero(number)
-        parts.append(
-            (total[frame, instance] / number[frame, instance], frame + rows.start, instance)
-        )
-    key, frame, instance = (np.concatenate(each) for each in zip(*parts, strict=True))
-    order = np.argsort(key, kind="stable")
-    return _Detections(key[order], frame[order], instance[order])
+        mean = total[frame, instance] / number[frame, instance]
+        parts.append((mean, frame + rows.start, instance))
+    mean, frame, instance = (np.concatenate(each) for each in zip(*parts, strict=True))
+    order = np.argsort(mean, kind="stable")
+    return _Detections(view, columns, mean[order], frame[order], instance[order])
 
 
-def _find_shift(
-    fewer: tuple[Keypoints2D, Ints, _Detections],
-    more: tuple[Keypoints2D, Ints, _Detections],
-    config: CopyConfig,
-) -> int | None:
+def _find_shift(first: _Detections, second: _Detections, least: int) -> int | None:
     """Return by how many frames the second view is later, None where it is another camera's.
 
-    Each is a view, its columns and its detections; the first has no more than the second.
+    Some detections of the view that has fewer are compared with those of the other view that have
+    the same mean.
     """
-    (first, first_columns, here), (second, second_columns, there) = fewer, more
-    tolerance = config.tolerance * float(np.abs(here.key).max(initial=0.0))
-    distinct = np.flatnonzero(np.diff(here.key, prepend=-np.inf) > tolerance)
-    if len(distinct) < config.least_detections:
+    fewer, more = sorted((first, second), key=lambda each: len(each.mean))
+    tolerance = COPY_TOLERANCE * float(np.abs(fewer.mean).max(initial=0.0))
+    distinct = np.flatnonzero(np.diff(fewer.mean, prepend=-np.inf) > tolerance)
+    if len(distinct) < least:
         return None
-    chosen = evenly_spaced(distinct, config.compared_detections)
-    low = np.searchsorted(there.key, here.key[chosen] - tolerance)
-    high = np.searchsorted(there.key, here.key[chosen] + tolerance)
-    number = np.minimum(high - low, config.candidates)
+    chosen = evenly_spaced(distinct, COPY_COMPARED)
+    low = np.searchsorted(more.mean, fewer.mean[chosen] - tolerance)
+    high = np.searchsorted(more.mean, fewer.mean[chosen] + tolerance)
+    number = np.minimum(high - low, COPY_FEW)
     of = np.repeat(np.arange(len(chosen)), number)
     candidate = low[of] + np.arange(len(of)) - np.repeat(number.cumsum() - number, number)
-    own = chosen[of]
-    ours = first.positions[here.frame[own], here.instance[own]][:, first_columns]
-    theirs = second.positions[there.frame[candidate], there.instance[candidate]]
-    theirs = theirs[:, second_columns]
+    ours, theirs = fewer.positions(chosen[of]), more.positions(candidate)
     mapped.let_go()
     equal = np.isclose(ours, theirs, rtol=0.0, atol=tolerance, equal_nan=True).all((1, 2))
-    shifts = second.frames[there.frame[candidate]] - first.frames[here.frame[own]]
-    values, counts = np.unique(
-        np.unique(np.column_stack([of, shifts])[equal], axis=0)[:, 1], return_counts=True
-    )
-    if not len(values) or counts.max() < config.least_share * len(chosen):
+    shifts = more.numbers(candidate) - fewer.numbers(chosen[of])
+    found = np.unique(np.column_stack([of, shifts])[equal], axis=0)[:, 1]
+    values, counts = np.unique(found, return_counts=True)
+    if not len(values) or counts.max() < COPY_SHARE * len(chosen):
         return None
-    return int(values[counts.argmax()])
+    shift = int(values[counts.argmax()])
+    return shift if fewer is first else -shift

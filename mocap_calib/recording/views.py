@@ -1,4 +1,4 @@
-"""The keypoints of single views: made from arrays, their assumed cameras, repeated detections."""
+"""The keypoints of single views: made from arrays, and their assumed cameras."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -151,28 +151,3 @@ def _assume_camera(view: Keypoints2D) -> AssumedCamera:
         distortion=np.zeros(5),
         fisheye=False,
     )
-
-
-_LEAST_JOINTS = 3  # seen: single points of two bodies may be the same pixel
-
-
-def find_repeated(positions: Reals) -> Bools:
-    """Return `[frame, instance]` whether an earlier detection of the frame is the same.
-
-    Two are the same where they have the same keypoints, three at least, at the same places.
-    positions: `[frame, instance, keypoint, 2]` in pixels, NaN = missing.
-    """
-    frames, instances = positions.shape[:2]
-    repeated = np.zeros((frames, instances), dtype=bool)
-    if instances < 2:
-        return repeated
-    seen = np.isfinite(positions[..., 0])
-    enough = seen.sum(-1) >= _LEAST_JOINTS
-    key = np.where(enough, np.where(seen, positions[..., 0], 0.0).sum(-1), np.nan)
-    for later in range(1, instances):
-        for earlier in range(later):
-            alike = np.flatnonzero(key[:, earlier] == key[:, later])
-            first, second = positions[alike, earlier], positions[alike, later]
-            same = (first == second) | (np.isnan(first) & np.isnan(second))
-            repeated[alike, later] |= same.all((-1, -2))
-    return repeated

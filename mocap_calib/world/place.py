@@ -10,7 +10,7 @@ from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.geometry.alignment import Similarity
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.recording.epochs import views_by_camera
+from mocap_calib.recording.timeline import views_by_camera
 from mocap_calib.results import CalibrationResult, GroupResult, Poses3D, RigCovariance
 from mocap_calib.types import METRES, CameraRig, Floats, World
 from mocap_calib.world.align import align_to_cameras, align_to_landmarks, describe_alignment

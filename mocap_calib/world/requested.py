@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 from mocap_calib.config import WORLDS, CueConfig, ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.recording.epochs import own_names, views_by_camera
 from mocap_calib.recording.joints import normalise_name
+from mocap_calib.recording.timeline import own_names, views_by_camera
 from mocap_calib.types import METRES, Recording
 from mocap_calib.world.align import check_landmarks, stated_rig
 from mocap_calib.world.floor import NO_FEET, Joints, joints_of_recording

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scenes import PEOPLE, scene
 
-from mocap_calib.config import CopyConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.copies import find_copies
 from mocap_calib.recording.synchronise import make_recording
@@ -80,4 +79,4 @@ def test_of_few_detections_nothing_is_said():
     few = {name: getattr(first, name)[:5] for name in ("frames", "positions", "confidence")}
     pair = (replace(first, **few), copy_of(first, second, **few))
     assert find_copies(pair, meanings(views())) == []
-    assert len(find_copies(pair, meanings(views()), CopyConfig(least_detections=1))) == 1
+    assert len(find_copies(pair, meanings(views()), least=1)) == 1

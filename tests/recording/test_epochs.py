@@ -3,7 +3,7 @@
 import numpy as np
 
 from mocap_calib.recording.corrections import Moved, apply_mends
-from mocap_calib.recording.epochs import (
+from mocap_calib.recording.timeline import (
     list_epochs,
     own_name,
     own_names,
