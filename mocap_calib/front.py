@@ -76,8 +76,7 @@ def read_recording(  # noqa: PLR0913 - each says one thing that files may leave 
     Raises FormatError for whatever is wrong with a file, and MismatchError where keypoints and
     cameras do not go together.
     """
-    from mocap_calib.job.load import load_recording
-    from mocap_calib.job.request import KeypointSource
+    from mocap_calib.job.load import KeypointSource, load_recording
 
     sizes = image_size if isinstance(image_size, Mapping) else {}
     known = isinstance(cameras, CameraRig)

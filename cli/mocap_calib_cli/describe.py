@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from mocap_calib.job.outcome import WrittenGroup
-from mocap_calib.job.summary import RecordingSummary
+from mocap_calib.job.load import RecordingSummary
+from mocap_calib.job.results import WrittenGroup
 from mocap_calib.recording.names import describe_unshared
 from mocap_calib.results import CalibrationResult
 from mocap_calib.wording import count

@@ -32,8 +32,8 @@ from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.file import decode, read_bytes
 from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
-from mocap_calib.job.load import LoadedRecording, load_recording
-from mocap_calib.job.request import CalibrationRequest, KeypointSource
+from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
+from mocap_calib.job.steps import CalibrationRequest
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.timeline import clocks_of_rig, retime
 from mocap_calib.results import LiftedPoses, Matches

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.job.request import CalibrationRequest
+from mocap_calib.job.steps import CalibrationRequest
 from mocap_calib_cli import inputs, option_files, options
 from mocap_calib_cli.commands.run import command as run
 

@@ -1,23 +1,138 @@
-"""From keypoint files and a file of cameras to a recording, and what of them is not used."""
+"""Read the keypoint files and the cameras of a recording, and summarise what of them is used."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
+from mocap_calib import mapped
+from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.filled_table import describe_filled
 from mocap_calib.io.keypoints.items import find_superseded_files
 from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.job.request import KeypointSource
-from mocap_calib.job.summary import RecordingSummary, summarise_recording
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.corrections import apply_mends
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
-from mocap_calib.recording.names import views_named
-from mocap_calib.recording.synchronise import join_views, recording_of_views
+from mocap_calib.recording.names import unshared_keypoints, views_named, views_with_detections
+from mocap_calib.recording.synchronise import JoinedViews, join_views, recording_of_views
 from mocap_calib.recording.views import ASSUMED_NOTE, assume_cameras
-from mocap_calib.results import Clocks
-from mocap_calib.types import Keypoints2D, Recording, Skeleton
+from mocap_calib.results import Clocks, Mend
+from mocap_calib.types import Camera, Keypoints2D, Recording, Skeleton
+
+
+@dataclass(frozen=True)
+class CameraSummary:
+    """The keypoints of one camera: where they come from, and how many there are."""
+
+    camera: str
+    source: str
+    frames: int
+    detections: int
+
+
+@dataclass(frozen=True)
+class RecordingSummary:
+    """What the files of a recording gave, and what of it is not used.
+
+    cameras: those with keypoints, in the order of the intrinsics.
+    without_keypoints: names of cameras that no keypoint file belongs to.
+    left_out: names of cameras in which nothing was detected.
+    lone_detections: number of detections in frames that no second camera has.
+    frames: number of frames of the recording.
+    keypoints: names of its joints. unknown: those that the model does not know.
+    single_camera_joints: name of joint -> the one camera that names it; not used.
+    skeleton: name of the skeleton of the model.
+    camera_notes: what the file of the cameras lacks, a line each.
+    ignored_files: keypoint files beside which another file of the same name was read.
+    filled_in: a line for each camera with keypoints that were completed, not measured.
+    unknown_cameras: names of keypoint files that no camera of the rig belongs to.
+    """
+
+    cameras: tuple[CameraSummary, ...]
+    without_keypoints: tuple[str, ...]
+    left_out: tuple[str, ...]
+    lone_detections: int
+    frames: int
+    keypoints: tuple[str, ...]
+    unknown: tuple[str, ...]
+    single_camera_joints: Mapping[str, str]
+    skeleton: str
+    camera_notes: tuple[str, ...] = ()
+    ignored_files: tuple[str, ...] = ()
+    filled_in: tuple[str, ...] = ()
+    unknown_cameras: tuple[str, ...] = ()
+
+    @property
+    def known(self) -> int:
+        """Number of joints of the recording that the model knows."""
+        return len(self.keypoints) - len(self.unknown)
+
+    @property
+    def too_few_known_joints(self) -> bool:
+        """Whether the model knows too few joints to help."""
+        return self.known < LEAST_JOINTS
+
+
+def summarise_recording(
+    recording: Recording, joined: JoinedViews, cameras: Sequence[Camera]
+) -> RecordingSummary:
+    """Return what a recording took of the views and the cameras it was made of."""
+    found = {}
+    for view, name in zip(joined.files, joined.camera_names, strict=True):
+        found[name] = CameraSummary(name, view.source, len(view.frames), count_detections(view))
+    unshared = unshared_keypoints(views_with_detections(joined.files), joined.meanings)
+    names = [camera.name for camera in cameras]
+    joints = zip(recording.keypoints, recording.vocabulary, strict=True)
+    return RecordingSummary(
+        cameras=tuple(found[name] for name in names if name in found),
+        without_keypoints=tuple(name for name in names if name not in found),
+        left_out=tuple(name for name in names if name not in recording.names),
+        lone_detections=_count_lone_detections(joined.files, recording),
+        frames=len(recording.frames),
+        keypoints=recording.keypoints,
+        unknown=tuple(name for name, joint in joints if joint < 0),
+        single_camera_joints=unshared,
+        skeleton=joined.skeleton.name,
+    )
+
+
+def count_detections(view: Keypoints2D) -> int:
+    """Return the number of instances, in all frames, that have any keypoint."""
+    blocks = mapped.frame_slices(len(view.frames))
+    return sum(int(np.isfinite(view.positions[block, ..., 0]).any(-1).sum()) for block in blocks)
+
+
+def _count_lone_detections(views: Sequence[Keypoints2D], recording: Recording) -> int:
+    """Return how many detections are in frames that no second camera has."""
+    count = 0
+    for view in views:
+        lone = view.positions[~np.isin(view.frames, recording.frames), ..., 0]
+        count += int(np.isfinite(lone).any(-1).sum())
+    return count
+
+
+@dataclass(frozen=True)
+class KeypointSource:
+    """Which keypoints are read, and how.
+
+    paths: files, folders and name=path pairs, as `read_keypoints` takes them.
+    format: name of their format; None: their content shows it.
+    options: what the files do not say themselves.
+    aliases: a YAML file with other names of joints, see `load_aliases`.
+    model: name of a shipped model, a weights file, or "none" for geometry alone; None: the
+        shipped model that knows most of the joints.
+    mends: what is known to be wrong with the files, put right in this order.
+    """
+
+    paths: tuple[str, ...]
+    format: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    aliases: Path | None = None
+    model: str | None = None
+    mends: tuple[Mend, ...] = ()
 
 
 @dataclass(frozen=True)

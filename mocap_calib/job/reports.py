@@ -21,8 +21,7 @@ from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.results.group import PAGE, REPORT, group_folder, write_run_json
 from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.io.results.run_json import read_run_json
-from mocap_calib.job.load import load_recording
-from mocap_calib.job.request import KeypointSource
+from mocap_calib.job.load import KeypointSource, load_recording
 from mocap_calib.job.results import name_results
 from mocap_calib.recording.corrections import Mirrored, Moved, Sides, apply_mends
 from mocap_calib.recording.timeline import clocks_of_rig, own_names, retime, views_by_camera

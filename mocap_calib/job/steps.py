@@ -1,34 +1,90 @@
-"""The steps from files to results: read, calibrate, write.
+"""One run from its request to its files: read, calibrate, write.
 
-The first and the last touch files; the one between touches none and may be done elsewhere.
+The first and the last step touch files; the one between touches none and may run elsewhere.
 """
 
+import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mocap_calib.compute.program import identify_program
+from mocap_calib.config import PAIR_SOLVERS, Config
 from mocap_calib.errors import ClusterError, MocapCalibError
 from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.hashing import hash_file
+from mocap_calib.io.file import plain_path
+from mocap_calib.io.hashing import hash_file, hash_inputs
 from mocap_calib.io.provenance import date_of_making
 from mocap_calib.io.results.further_formats import check_formats, check_recording
 from mocap_calib.io.results.group import REPORT
 from mocap_calib.io.results.pair_store import remember_pairs
-from mocap_calib.job.load import LoadedRecording, load_recording
-from mocap_calib.job.outcome import WrittenGroup
-from mocap_calib.job.request import CalibrationRequest
-from mocap_calib.job.results import UNFINISHED, remove_unfinished, write_result
+from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
+from mocap_calib.job.results import UNFINISHED, WrittenGroup, remove_unfinished, write_result
 from mocap_calib.lift.lifter import Lifter
-from mocap_calib.lift.weights import load_model
+from mocap_calib.lift.weights import identify_model, load_model
 from mocap_calib.pairs.solve import PairSolver, pair_mapper
 from mocap_calib.paper import choose_pair_solver
 from mocap_calib.pipeline import calibrate
 from mocap_calib.results import CalibrationResult
 from mocap_calib.types import Mapper, Progress, silent
 from mocap_calib.world.requested import check_world
+
+
+@dataclass(frozen=True)
+class CalibrationRequest:
+    """Which recording to calibrate, how, and where the results go.
+
+    cameras: a file or folder with the intrinsics, or the content of such a file; None: nothing is
+        known of them but the sizes of the images.
+    output: the folder of the results.
+    pair_solver: how a pair of views is calibrated, one of `config.PAIR_SOLVERS`.
+    device: where the network computes, "cpu" or "cuda".
+    formats: names of further formats of cameras and 3D poses in which the results are written.
+    fps: frames per second, for the formats that need it.
+    report: whether report.html is written. reading: the options that say how the keypoints are
+        read, as a user typed them, for run.json.
+    """
+
+    keypoints: KeypointSource
+    cameras: Path | bytes | None
+    output: Path
+    pair_solver: str = PAIR_SOLVERS[0]
+    seed: int = 0
+    device: str = "cpu"
+    config: Config = field(default_factory=Config)
+    formats: tuple[str, ...] = ()
+    fps: float | None = None
+    report: bool = True
+    reading: Mapping[str, Any] = field(default_factory=dict)
+
+    def hash_inputs(self) -> dict[str, str]:
+        """Return the SHA-256 of all files that the results follow from, by path."""
+        paths = [plain_path(argument) for argument in self.keypoints.paths]
+        if isinstance(self.cameras, Path):
+            paths.append(self.cameras)
+        if self.keypoints.aliases is not None:
+            paths.append(self.keypoints.aliases)
+        return hash_inputs(paths)
+
+    def fingerprint(self, hashes: Mapping[str, str], model: str) -> str:
+        """Return the SHA-256 of all that the results follow from.
+
+        That is what was asked for, the files, the configuration, the weights and the code.
+
+        hashes: of the inputs, by path. model: the one that was chosen.
+        """
+        files = [self.formats, self.fps]
+        asked = [asdict(self.keypoints), self.cameras, self.seed, self.device, *files]
+        content = json.dumps([asked, hashes, self.describe_method(model)], default=str)
+        return hashlib.sha256(content.encode()).hexdigest()
+
+    def describe_method(self, model: str) -> str:
+        """Return how any recording is calibrated: solver, configuration, weights and code."""
+        method = [self.pair_solver, asdict(self.config)]
+        return json.dumps([*method, model, identify_model(model), identify_program()])
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
 from mocap_calib.job import request
-from mocap_calib.job.request import CalibrationRequest, KeypointSource
-from mocap_calib.job.steps import find_finished
+from mocap_calib.job.load import KeypointSource
+from mocap_calib.job.steps import CalibrationRequest, find_finished
 from mocap_calib.pairs.solve import calibrate_pairs
 from mocap_calib.types import silent
 from mocap_calib_cli.commands import batch as batch_module

@@ -12,7 +12,8 @@ from mocap_calib.errors import MocapCalibError
 from mocap_calib.geometry.alignment import Similarity
 from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.job import steps
-from mocap_calib.job.request import CalibrationRequest, KeypointSource
+from mocap_calib.job.load import KeypointSource
+from mocap_calib.job.steps import CalibrationRequest
 from mocap_calib.report import rig_report
 from mocap_calib.results import VERDICTS, CalibrationResult, Cause, Verdict
 from mocap_calib.verdict import verdict

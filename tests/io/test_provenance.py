@@ -6,8 +6,8 @@ import pytest
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.provenance import date_of_making, describe_judgement
-from mocap_calib.job.request import CalibrationRequest, KeypointSource
-from mocap_calib.job.steps import read_job
+from mocap_calib.job.load import KeypointSource
+from mocap_calib.job.steps import CalibrationRequest, read_job
 
 
 def test_the_date_is_that_of_the_clock_or_of_a_reproducible_build(monkeypatch):

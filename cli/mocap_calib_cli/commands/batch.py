@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
     from mocap_calib.compute.parallel import Processes
     from mocap_calib.errors import MismatchError
-    from mocap_calib.job.request import CalibrationRequest
-    from mocap_calib.job.steps import Job
+    from mocap_calib.job.steps import CalibrationRequest, Job
     from mocap_calib.results import CalibrationResult
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.screen import Table
@@ -152,7 +151,7 @@ class _Batch:
 
     def _read_unfinished(self, requests: "Iterable[CalibrationRequest]") -> "Iterator[Job]":
         """Read the recordings without results, one by one when they are asked for."""
-        from mocap_calib.job.outcome import complain
+        from mocap_calib.job.results import complain
         from mocap_calib.job.steps import find_finished
 
         for request in requests:
