@@ -333,19 +333,14 @@ class PosesConfig:
         accelerate by more than the largest (0.01 to 0.1 in motions, 0.7 and more elsewhere), frames
         do not follow each other.
     held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
-    fit_steps, refit_steps: of Gauss-Newton: to fit points; to fit them again, without the
-        detections that the first fit drops, and to choose strengths. overshoot: factor of a step,
-        which robust losses make too short. Measured: the same errors as with 8, 4 and 4 steps, each
-        taken once.
-    inner_steps: of conjugate gradients in each, at most. inner_tolerance: they end when the
-        residual is smaller than this part of the gradient. Measured: with 0.03 other strengths are
-        chosen, with 0.01 the same as without it.
+    steps: of Gauss-Newton, twice as many to fit points as to choose strengths, and to fit points
+        again without the detections that the first fit drops. inner_steps: of conjugate gradients
+        in each.
     ridge: inverse variance of a point before anything is known of it, which damps the steps.
     longest_gap: frames without any detection of a joint that are bridged.
     largest_sigma: of a point; what is less sure is missing.
     outlier: standard deviations from which on a detection is dropped, and nats that an exchange of
         left and right must gain.
-    block_frames: fitted at once, besides margins of four longest gaps.
     """
 
     smooth: SmoothMode = "auto"
@@ -357,16 +352,12 @@ class PosesConfig:
     bones: tuple[float, ...] = (0.1, 0.05, 0.025, 0.012)
     held_out_frames: int = 200
     held_out_stretch: int = 50
-    fit_steps: int = 6
-    refit_steps: int = 4
-    overshoot: float = 2.0
+    steps: int = 4
     inner_steps: int = 3
-    inner_tolerance: float = 0.01
     ridge: float = 1e-2
     longest_gap: int = 10
     largest_sigma: float = 0.15
     outlier: float = 6.0
-    block_frames: int = 1000
 
 
 # expected rotation errors of the least certain camera, in degrees: below the first a rig is well

@@ -179,28 +179,23 @@ def _turn_direction(
     return float(total.sum())
 
 
-@kernel(
-    "f8[:,:,::1], f8[:,:,::1], i8[:,::1], i8, i8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1]"
-)
+@kernel("f8[:,:,::1], f8[:,:,::1], i8[:,::1], i8, i8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1]")
 def take_step(
     along: Floats,
     factor: Floats,
     edges: Ints,
     keypoints: int,
     rounds: int,
-    tolerance: float,
-    overshoot: float,
     work: Floats,
     step: Floats,
     points: Floats,
 ) -> None:
     """Move points by the step of normal equations. step: their gradient, which is overwritten.
 
-    rounds: of conjugate gradients, at most. tolerance: they end when the residual is smaller than
-    this part of the gradient. overshoot: how many times the step is taken. work: five arrays like
-    the step, at first of zeros: the residual; what the bands make of it; the image of the
-    direction; the direction; and the product of the bands' matrix with it. The rest: as of
-    `energy_kernels.sum_terms` and `bands_kernels.factor_bands`.
+    rounds: of conjugate gradients. work: five arrays like the step, at first of zeros: the
+    residual; what the bands make of it; the image of the direction; the direction; and the product
+    of the bands' matrix with it. The rest: as of `energy_kernels.sum_terms` and
+    `bands_kernels.factor_bands`.
     """
     groups, padded, _ = step.shape
     joints, total = np.empty((keypoints, 2 * _POINT)), np.zeros(LANES)
@@ -211,11 +206,10 @@ def take_step(
         if rounds:
             tile = slice(first, first + LANES)
             _couple(along[first // LANES], edges, joints, step[:, tile], work[0][:, tile])
-    enough = tolerance**2 * total.sum()
     before, length = np.inf, 0.0
     for _ in range(rounds):
         product = _move_step(length, work, factor, step)
-        if product <= enough:
+        if product <= 0.0:
             length = 0.0
             break
         length = product / _turn_direction(product / before, work, factor, along, edges, joints)
@@ -225,7 +219,7 @@ def take_step(
         for first in range(2, padded - 2, LANES):
             tile = slice(first, first + LANES)
             _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
-            _add_times(-overshoot, step[g, tile].reshape(-1), points[g, tile].reshape(-1))
+            _add_times(-1.0, step[g, tile].reshape(-1), points[g, tile].reshape(-1))
 
 
 @inlined

@@ -1,8 +1,8 @@
 """What detections decide: strengths of smoothing, exchanged sides, and outliers."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from mocap_calib.poses.fit import Strengths, fit, squared_errors
 from mocap_calib.poses.track import Body, Detections, accelerations
 from mocap_calib.types import Bools, Floats, Ints
 
-_LARGEST = 900.0  # squared error that counts in full
 _MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
 
 
@@ -39,72 +38,33 @@ def choose_strengths(
 
     points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
     """
-    usual = usual_strengths(points, seen, body, config, moves=moves)
-    hidden = _hide(seen, config)
-    if hidden.sum() < 2 * config.held_out_stretch:
-        return Choice(usual)
-    search = _Search(points, seen, body, hidden, config)
-    chosen = usual
-    if moves and body.steps.any() and np.isfinite(usual.acceleration):
-        chosen = search.weakest(usual, "acceleration", (np.inf, *config.accelerations))
-    if len(body.edges):
-        chosen = search.weakest(chosen, "bones", (np.inf, *config.bones))
-    chosen = search.weakest(chosen, "loss", config.losses)
-    finely = tuple(float(chosen.acceleration) * factor for factor in (2, 2**0.5, 1, 2**-0.5))
-    chosen = search.weakest(chosen, "acceleration", finely)
-    raw = search.loss(replace(chosen, acceleration=np.inf, bones=np.inf))
-    return Choice(chosen, float(search.loss(chosen).mean()), float(raw.mean()))
+    chosen = usual_strengths(points, seen, body, config, moves=moves)
+    hidden, run = _hide(seen, config)
+    if len(run) < 2 * config.held_out_stretch:
+        return Choice(chosen)
+    shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
 
+    @cache
+    def loss(strengths: Strengths) -> Floats:
+        """Return the loss `[N]` of each hidden detection."""
+        found = fit(points, shown, body, strengths, config, steps=config.steps)
+        return np.log1p(squared_errors(found, seen)[hidden] / 4)
 
-@dataclass(frozen=True)
-class _Search:
-    """A search over strengths: see `choose_strengths`.
-
-    hidden: `[view, keypoint, frame]` detections that a fit is not shown. losses: of each hidden
-        detection under the strengths tried so far.
-    """
-
-    points: Floats
-    seen: Detections
-    body: Body
-    hidden: Bools
-    config: PosesConfig
-    losses: dict[Strengths, Floats] = field(default_factory=dict)
-
-    @cached_property
-    def _run(self) -> Ints:
-        """`[N]` the number of the run that each hidden detection belongs to."""
-        _, joint, frame = np.nonzero(self.hidden)
-        return np.asarray(joint * self.hidden.shape[2] + frame // _run_length(self.config))
-
-    def loss(self, strengths: Strengths) -> Floats:
-        """Return the loss of each hidden detection."""
-        if strengths not in self.losses:
-            shown = replace(self.seen, precision=np.where(self.hidden, 0.0, self.seen.precision))
-            steps = self.config.refit_steps
-            points = fit(self.points, shown, self.body, strengths, self.config, steps=steps)
-            square = squared_errors(points, self.seen)[self.hidden]
-            self.losses[strengths] = np.log1p(np.minimum(square, _LARGEST) / 4)
-        return self.losses[strengths]
-
-    def weakest(self, strengths: Strengths, name: str, values: tuple[float, ...]) -> Strengths:
+    def weakest(name: str, values: Sequence[float]) -> Strengths:
         """Return the strengths with the first value that predicts about as well as the best."""
-        candidates = [replace(strengths, **{name: value}) for value in values]
-        tried = list(self._until_worse(dict.fromkeys(candidates)))
-        best = min((self.loss(each) for each in tried), key=np.mean)
-        more = ((each, self.loss(each) - best) for each in tried)
-        return next(each for each, lost in more if lost.mean() <= error_of_mean(lost, self._run))
+        tried = [replace(chosen, **{name: value}) for value in values]
+        best = min(map(loss, tried), key=np.mean)
+        more = ((each, loss(each) - best) for each in tried)
+        return next(each for each, lost in more if lost.mean() <= error_of_mean(lost, run))
 
-    def _until_worse(self, candidates: dict[Strengths, None]) -> Iterator[Strengths]:
-        """Yield candidates until the loss has risen twice in a row."""
-        before, rises = np.inf, 0
-        for each in candidates:
-            yield each
-            now = float(self.loss(each).mean())
-            rises = rises + 1 if now > before else 0
-            before = now
-            if rises == 2:
-                return
+    if moves and body.steps.any() and np.isfinite(chosen.acceleration):
+        chosen = weakest("acceleration", (np.inf, *config.accelerations))
+    if len(body.edges):
+        chosen = weakest("bones", (np.inf, *config.bones))
+    chosen = weakest("loss", config.losses)
+    chosen = weakest("acceleration", (chosen.acceleration * np.sqrt([4, 2, 1, 0.5])).tolist())
+    raw = loss(replace(chosen, acceleration=np.inf, bones=np.inf))
+    return Choice(chosen, float(loss(chosen).mean()), float(raw.mean()))
 
 
 def error_of_mean(values: Floats, run: Ints) -> float:
@@ -137,27 +97,22 @@ def usual_strengths(
     return Strengths(max(allowed, config.accelerations[-1]), bones, config.losses[0])
 
 
-def _run_length(config: PosesConfig) -> int:
-    """Return for how many frames a joint is hidden from a view.
+def _hide(seen: Detections, config: PosesConfig) -> tuple[Bools, Ints]:
+    """Return which detections `[view, keypoint, frame]` are hidden, and the run `[N]` of each.
 
-    Errors are correlated in time: with 5 frames the detections just before and after are as wrong,
-    and Shelf is smoothed as much as can be.
-    """
-    return max(config.held_out_stretch // 2, 1)
-
-
-def _hide(seen: Detections, config: PosesConfig) -> Bools:
-    """Return which detections `[view, keypoint, frame]` are hidden: two of each point stay.
-
-    Of every point that three views or more detect, one view is hidden.
+    Of every point that three views or more detect, one view is hidden: two of each point stay. A
+    joint is hidden from a view for runs of half a stretch, as errors are correlated in time: with 5
+    frames the detections just before and after are as wrong, and Shelf is smoothed as much as can
+    be.
     """
     there = seen.precision > 0
     views, joints, frames = there.shape
-    rng = np.random.default_rng(0)
-    length = _run_length(config)
-    runs = rng.integers(0, views, size=(joints, frames // length + 1))
-    chosen = runs.repeat(length, axis=1)[:, :frames] == np.arange(views)[:, None, None]
-    return chosen & there & (there.sum(0) >= 3)
+    length = max(config.held_out_stretch // 2, 1)
+    views_of_runs = np.random.default_rng(0).integers(views, size=(joints, frames // length + 1))
+    chosen = views_of_runs.repeat(length, axis=1)[:, :frames] == np.arange(views)[:, None, None]
+    hidden = chosen & there & (there.sum(0) >= 3)
+    _, joint, frame = np.nonzero(hidden)
+    return hidden, joint * frames + frame // length
 
 
 def exchange_sides(
@@ -171,22 +126,11 @@ def exchange_sides(
     Returns which were, `[view, keypoint, frame]`, both of a pair.
     """
     paired = mirror != np.arange(len(mirror))
-    as_seen = squared_errors(points, seen)
-    other = squared_errors(points[mirror], seen)
-    there = seen.precision > 0
-    fits = paired[:, None] & there & (other < config.outlier**2)
-    # logarithms are never more than what they are of, and few detections are so far off
-    far = as_seen + as_seen[:, mirror] > 2 * config.outlier
-    exchanged = fits & fits[:, mirror] & far
-    view, joint, frame = np.nonzero(exchanged)
-    scale = config.losses[0] ** 2
-    gain = sum(
-        np.log1p(as_seen[view, each, frame] / scale) - np.log1p(other[view, each, frame] / scale)
-        for each in (joint, mirror[joint])
-    )
-    exchanged[view, joint, frame] = gain * scale / 2 > config.outlier
-    if not exchanged.any():
-        return seen, exchanged
+    scale, other = config.losses[0] ** 2, squared_errors(points[mirror], seen)
+    gain = np.log1p(squared_errors(points, seen) / scale) - np.log1p(other / scale)
+    gain += gain[:, mirror]
+    fits = paired[:, None] & (seen.precision > 0) & (other < config.outlier**2)
+    exchanged = fits & fits[:, mirror] & (gain * scale / 2 > config.outlier)
     return (
         replace(
             seen,

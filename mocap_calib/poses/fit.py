@@ -10,7 +10,6 @@ first order: a bone adds the information about its other end without it.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from mocap_calib.types import Floats, Ints
 
 AROUND = 2  # frames of padding at each end: as far as accelerations reach
 SHARED_ROUNDS = 5  # of the geometric median of accelerations (Weiszfeld 1937)
-SHARED_LEAST = 0.1  # of the mean distance from it: keeps a joint next to it from holding it
 
 
 @dataclass(frozen=True)
@@ -41,31 +39,6 @@ class Strengths:
     loss: float
 
 
-class Step(NamedTuple):
-    """A Gauss-Newton step: the loss of rays, and the factor by which the solution is taken."""
-
-    loss: float
-    overshoot: float
-
-
-def plan_steps(loss: float, config: PosesConfig, steps: int) -> list[Step]:
-    """Return the steps of a fit that ends with this loss of rays.
-
-    The loss starts wide and narrows, because the start may rest on a wrong detection. A robust
-    energy is never above the quadratic that a step minimises, and it curves less, so plain steps
-    are too short; a step of up to twice the length does not raise the energy either. The last one
-    is taken once, so that points do not oscillate around the minimum.
-    """
-    wide = [config.first_loss / 2**step for step in range(steps)]
-    return [
-        Step(
-            loss * max(each, 1.0),
-            config.overshoot if each < 1 and step < steps - 1 else 1.0,
-        )
-        for step, each in enumerate(wide)
-    ]
-
-
 def fit(
     points: Floats,
     seen: Detections,
@@ -77,13 +50,14 @@ def fit(
 ) -> Floats:
     """Return the points `[keypoint, frame, 3]` of least energy, from those to start from.
 
-    steps: number of Gauss-Newton steps (`plan_steps`).
+    steps: number of Gauss-Newton steps. The loss of rays starts wide and narrows, because the start
+        may rest on a wrong detection.
     """
     packed = _pack(points, seen, body, strengths, config)
     found = packed.points
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     rounds = config.inner_steps if len(packed.edges) else 0
-    for step in plan_steps(strengths.loss, config, steps):
+    for step in range(steps):
         packed.share_accelerations(config)
         pose_energy.sum_terms(
             packed.rays,
@@ -91,7 +65,7 @@ def fit(
             found,
             packed.edges,
             packed.bones,
-            step.loss,
+            strengths.loss * max(config.first_loss / 2**step, 1.0),
             config.prior_loss,
             packed.along,
             packed.factor,
@@ -104,8 +78,6 @@ def fit(
             packed.edges,
             packed.joints,
             rounds,
-            config.inner_tolerance,
-            step.overshoot,
             work,
             gradient,
             found,
@@ -183,13 +155,7 @@ class _Packed:
             known = self.joints * config.shared_acceleration
             part = known / (1 + known)
             pose_motion.share_accelerations(
-                self.points,
-                self.steps,
-                self.joints,
-                SHARED_ROUNDS,
-                SHARED_LEAST,
-                part,
-                self.expected,
+                self.points, self.steps, self.joints, SHARED_ROUNDS, part, self.expected
             )
 
     def factor_bands(self, gradient: Floats, prior_loss: float) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,23 +14,22 @@ from mocap_calib.geometry.alignment import body_size
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.poses.choose import Choice, choose_strengths, drop_outliers, exchange_sides
 from mocap_calib.poses.fit import covariances, fit
-from mocap_calib.poses.start import (
-    add_refused,
-    are_beyond_reach,
-    arrays_to_fill,
-    bone_lengths,
-    fill_gaps,
-    reach_of_bones,
-    with_second_neighbours,
-)
 from mocap_calib.poses.track import (
     Body,
     Detections,
     acceleration_steps,
+    add_refused,
+    are_beyond_reach,
+    arrays_to_fill,
     blocks,
+    bone_lengths,
     detections_of,
+    fill_gaps,
+    join,
     point_sources,
+    reach_of_bones,
     with_gaps,
+    with_second_neighbours,
 )
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import GroupResult, Matches, Poses3D, Smoothing
@@ -132,12 +132,8 @@ class _Scene:
         own = Matches(np.where(self.matches.labels[:, frames] == who.index, 0, -1))
         recording = self.recording.select(frames=frames)
         seen = gather_tracks(recording, own, np.arange(len(frames)))
-        (detections,) = detections_of(
-            self.rig,
-            seen,
-            self.noise,
-            individuals=1,
-            keypoints=len(self.recording.keypoints),
+        detections = detections_of(
+            self.rig, seen, self.noise, keypoints=len(self.recording.keypoints)
         )
         times = self.times[frames]
         body = Body(
@@ -149,26 +145,11 @@ class _Scene:
         )
         start = self.start[frames, who.index]
         impossible = are_beyond_reach(start, who.reach)
-        points = fill_gaps(np.where(impossible[..., None], np.nan, start), times, self.bones)
+        points = fill_gaps(np.where(impossible[..., None], np.nan, start), times)
         detections = replace(
             detections, precision=np.where(impossible.T, 0.0, detections.precision)
         )
         return np.ascontiguousarray(points.swapaxes(0, 1)), detections, body
-
-
-@dataclass(frozen=True)
-class _Estimate:
-    """What was found of one individual in some frames.
-
-    positions: `[frame, keypoint, 3]`; covariance: `[frame, keypoint, 6]`; source: `[frame,
-    keypoint]`. outliers, exchanged: `[view, frame, keypoint]` detections.
-    """
-
-    positions: Floats
-    covariance: Floats
-    source: Ints
-    outliers: Bools
-    exchanged: Bools
 
 
 @single_threaded_libraries()
@@ -217,12 +198,12 @@ def _fit_all(
     def work(piece: tuple[_Individual, slice, Ints]) -> Ints:
         """Fit frames; return how many, and the numbers of outliers and of exchanged pairs."""
         who, inner, frames = piece
-        found = _estimate(scene, who, frames, choice)
+        found, outliers, exchanged = _estimate(scene, who, frames, choice)
         own = frames[inner]
         for name, array in arrays.items():
-            array[mapped.as_slice(own), who.index] = getattr(found, name)[inner]
-        outliers, exchanged = (each[:, inner].sum() for each in (found.outliers, found.exchanged))
-        return np.array([len(own), outliers, exchanged // 2])
+            array[mapped.as_slice(own), who.index] = found[name][inner]
+        dropped, pairs = outliers[..., inner].sum(), exchanged[..., inner].sum() // 2
+        return np.array([len(own), dropped, pairs])
 
     counts = np.zeros(3, dtype=np.int64)
     for done in map_in_threads(work, pieces):
@@ -259,10 +240,11 @@ def _choose(scene: _Scene) -> Choice:
     """Return how strongly to smooth, from stretches of all individuals."""
     config = scene.config
     tracks = [scene.track(who, frames) for who, frames in _stretches(scene.individuals, config)]
-    parts = [list(each) for each in zip(*tracks, strict=True)]
-    points, (seen, body) = np.concatenate(parts[0], axis=1), (p[0].join(p[1:]) for p in parts[1:])
+    points, seen, bodies = zip(*tracks, strict=True)
     moves = config.smooth != "bones"
-    return choose_strengths(points, seen, body, config, moves=moves)
+    return choose_strengths(
+        np.concatenate(points, axis=1), join(seen), join(bodies), config, moves=moves
+    )
 
 
 def _stretches(
@@ -282,14 +264,20 @@ def _stretches(
         yield who, who.frames[start : start + length]
 
 
-def _estimate(scene: _Scene, who: _Individual, frames: Ints, choice: Choice) -> _Estimate:
-    """Return the best estimates of one individual in frames that follow each other."""
+def _estimate(
+    scene: _Scene, who: _Individual, frames: Ints, choice: Choice
+) -> tuple[dict[str, Any], Bools, Bools]:
+    """Return the best estimates of one individual in frames that follow each other.
+
+    By name: positions `[frame, keypoint, 3]`, covariance `[frame, keypoint, 6]`, source `[frame,
+    keypoint]`. And which detections `[view, keypoint, frame]` were dropped, and exchanged.
+    """
     config, strengths = scene.config, choice.strengths
     points, seen, body = scene.track(who, frames)
-    points = fit(points, seen, body, strengths, config, steps=config.fit_steps)
+    points = fit(points, seen, body, strengths, config, steps=2 * config.steps)
     seen, exchanged = exchange_sides(points, seen, scene.mirror, config)
     seen, outliers = drop_outliers(points, seen, config)
-    points = fit(points, seen, body, strengths, config, steps=config.refit_steps)
+    points = fit(points, seen, body, strengths, config, steps=config.steps)
     wide = replace(strengths, loss=config.losses[0])  # a narrow loss weighs all errors as outliers
     covariance = covariances(points, seen, body, wide, config)
     met = np.isfinite(scene.start[frames, who.index, :, 0]).T
@@ -299,10 +287,9 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, choice: Choice) -> 
     source = np.where(sigma <= config.largest_sigma * who.size, source, 0)
     source = np.where(are_beyond_reach(points.swapaxes(0, 1), who.reach).T, 0, source)
     missing = (source == 0)[..., None]
-    return _Estimate(
-        positions=np.where(missing, np.nan, points).swapaxes(0, 1),
-        covariance=np.where(missing, np.nan, covariance).swapaxes(0, 1),
-        source=source.T,
-        outliers=outliers.swapaxes(1, 2),
-        exchanged=exchanged.swapaxes(1, 2),
-    )
+    found = {
+        "positions": np.where(missing, np.nan, points).swapaxes(0, 1),
+        "covariance": np.where(missing, np.nan, covariance).swapaxes(0, 1),
+        "source": source.T,
+    }
+    return found, outliers, exchanged

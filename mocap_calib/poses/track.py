@@ -1,23 +1,32 @@
-"""What was seen of bodies over time, by joint, as the energy of `poses.energy` takes it.
+"""Tracks: what was seen of bodies over time, by joint, and where the fit of their poses starts.
 
 A track is made of stretches of frames, of one individual or of several, one after the other: what
-is linear in time works on all of them at once.
+is linear in time works on all of them at once. The fit starts from bones' lengths and triangulated
+points with their gaps filled in.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
-from mocap_calib.config import PosesConfig
+from mocap_calib import mapped
+from mocap_calib.compute.medians import known_medians
+from mocap_calib.compute.parallel import do_in_threads
+from mocap_calib.config import PosesConfig, TriangulateConfig
 from mocap_calib.geometry.lens import rays_in_world
-from mocap_calib.results import POINT_SOURCES
+from mocap_calib.results import POINT_SOURCES, Matches, Poses3D
 from mocap_calib.rig.tracks import Tracks
-from mocap_calib.types import Bools, CameraRig, Floats, Ints
+from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
 _TRIANGULATED = POINT_SOURCES.index("triangulated")
 _ONE_VIEW = POINT_SOURCES.index("one view")
 _INTERPOLATED = POINT_SOURCES.index("interpolated")
+_MEDIAN_SQUARE = 0.455  # of normal errors of variance 1
+_ROUNDS = 10  # of reweighting
+_BLOCK = 1000  # frames that are fitted at once, besides margins of four longest gaps
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,15 +42,6 @@ class Detections:
     rays: Floats
     precision: Floats
     centres: Floats
-
-    def join(self, others: Sequence["Detections"]) -> "Detections":
-        """Return these detections and then, later in time, the others'."""
-        parts = [self, *others]
-        return replace(
-            self,
-            rays=np.concatenate([part.rays for part in parts], axis=-1),
-            precision=np.concatenate([part.precision for part in parts], axis=-1),
-        )
 
 
 @dataclass(frozen=True)
@@ -62,35 +62,37 @@ class Body:
     size: Floats
     steps: Floats
 
-    def join(self, others: Sequence["Body"]) -> "Body":
-        """Return this body and then, later in time, the others."""
-        parts = [self, *others]
-        names = ("lengths", "varies", "size", "steps")
-        joined = {
-            name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names
-        }
-        return replace(self, **joined)
+
+_Part = TypeVar("_Part", Detections, Body)
+_OVER_TIME = (
+    "rays",
+    "precision",
+    "lengths",
+    "varies",
+    "size",
+    "steps",
+)  # their last axis is frames
 
 
-def detections_of(
-    rig: CameraRig, seen: Tracks, noise: Floats, *, individuals: int, keypoints: int
-) -> list[Detections]:
-    """Return the detections of each individual.
+def join(parts: Sequence[_Part]) -> _Part:
+    """Return one part of a track and then, later in time, the others."""
+    own = [each.name for each in fields(parts[0]) if each.name in _OVER_TIME]
+    joined = {name: np.concatenate([getattr(p, name) for p in parts], axis=-1) for name in own}
+    return replace(parts[0], **joined)
+
+
+def detections_of(rig: CameraRig, seen: Tracks, noise: Floats, *, keypoints: int) -> Detections:
+    """Return the detections of an individual.
 
     All detections of a view count alike: weights by confidence make poses of some detectors worse.
 
-    seen: of N = frames x individuals x keypoints. noise: `[view]` in radians.
+    seen: of N = frames x keypoints. noise: `[view]` in radians.
     """
-    rays = rays_in_world(rig, seen.rays)  # [view, 3, N]
-    known = np.isfinite(seen.rays[:, 0]) & (seen.weight > 0)
-    precision = known / noise[:, None] ** 2
     views = len(rig)
-    rays = rays.reshape(views, 3, -1, individuals, keypoints).transpose(3, 1, 0, 4, 2)
-    precision = precision.reshape(views, -1, individuals, keypoints).transpose(2, 0, 3, 1)
-    return [
-        Detections(np.ascontiguousarray(own), np.ascontiguousarray(weights), rig.centres)
-        for own, weights in zip(rays, precision, strict=True)
-    ]
+    rays = rays_in_world(rig, seen.rays).reshape(views, 3, -1, keypoints).transpose(1, 0, 3, 2)
+    known = np.isfinite(seen.rays[:, 0]) & (seen.weight > 0)
+    precision = (known / noise[:, None] ** 2).reshape(views, -1, keypoints).swapaxes(1, 2)
+    return Detections(np.ascontiguousarray(rays), np.ascontiguousarray(precision), rig.centres)
 
 
 def acceleration_steps(frames: Floats, longest_gap: float) -> Floats:
@@ -163,8 +165,156 @@ def point_sources(seen: Detections, met: Bools, times: Floats, longest: int) -> 
 def blocks(frames: Ints, config: PosesConfig) -> Iterator[tuple[slice, Ints]]:
     """Yield frames to fit at once, and which of them are new there: the others are margins."""
     margin = 4 * config.longest_gap
-    for start in range(0, len(frames), config.block_frames):
+    for start in range(0, len(frames), _BLOCK):
         first = max(start - margin, 0)
-        last = start + config.block_frames
+        last = start + _BLOCK
         own = frames[first : last + margin]
         yield slice(start - first, min(last, len(frames)) - first), own
+
+
+# Where the fit starts
+
+
+def add_refused(
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    points: Floats,
+    *,
+    noise: Floats,
+    config: TriangulateConfig,
+) -> Floats:
+    """Return triangulated points with those that a wider limit lets through where there are none.
+
+    Where frames do not follow each other, views that disagree by more than their noise are still
+    the best evidence, and the robust fit decides between them: MVOR has 45.5 % of its joints with
+    it, 43.6 % without. In motions interpolated points are better.
+
+    points: `[frame, individual, keypoint, 3]`. noise: `[view]` in radians. config: with the wider
+    limit.
+    """
+    frames, individuals, keypoints, _ = points.shape
+    found = mapped.empty(points.shape)
+    for block in frame_blocks(frames, individuals * keypoints):
+        _, wider, _ = triangulate_frames(
+            block, recording=recording, rig=rig, matches=matches, noise=noise, config=config
+        )
+        own = points[block]
+        found[block] = np.where(np.isfinite(own), own, wider.T.reshape(own.shape))
+        mapped.let_go()
+    return found
+
+
+def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Floats]:
+    """Return the length `[edge]` of each bone and how much it varies; NaN where it was never seen.
+
+    points: `[frame, keypoint, 3]` triangulated; sigma: `[frame, keypoint]` of these, of all axes
+    together. Noise across a bone makes it longer: that is taken off. A bone's length varies beyond
+    its noise (standard deviation): detectors see joints elsewhere as a body turns, and spines bend.
+    Half of the values are within the median of a normal error; each counts by its whole variance,
+    robustly.
+    """
+    a, b = edges.T
+    length = np.linalg.norm(points[:, a] - points[:, b], axis=-1)
+    noise = (sigma[:, a] ** 2 + sigma[:, b] ** 2) / 3
+    known = np.isfinite(length) & np.isfinite(noise) & (length > 0)
+    seen = np.flatnonzero(known.any(0))
+    known, length, noise = (each[:, seen].T for each in (known, length, noise))
+    length, noise = (np.where(known, each, np.nan) for each in (length, noise))
+    length -= np.minimum(noise / length, length / 2)
+    usual = known_medians(noise)[:, None]
+    middle, varies = known_medians(np.where(noise <= usual, length, np.nan)), np.zeros(len(seen))
+    for _ in range(_ROUNDS):
+        square = (length - middle[:, None]) ** 2
+        varies = np.maximum(known_medians(square / _MEDIAN_SQUARE - noise), 0.0)
+        weight = np.where(known, 1 / (noise + varies[:, None] + square / 4), 0.0)
+        middle = (weight * np.where(known, length, 0.0)).sum(1) / weight.sum(1)
+    found = np.full((2, len(edges)), np.nan)
+    found[:, seen] = middle, np.sqrt(varies)
+    return found[0], found[1]
+
+
+def reach_of_bones(lengths: Floats, varies: Floats, bones: Ints, keypoints: int) -> Floats:
+    """Return how far each keypoint can be from each other `[keypoint, keypoint]`.
+
+    That is the sum of the bones between them, each as long as three standard deviations of what it
+    varies by allow; inf where no bones of known length lead from one to the other.
+
+    lengths, varies: `[bone]` as `bone_lengths` finds them.
+    """
+    known = np.isfinite(lengths)
+    a, b = bones[known].T
+    reach = np.where(np.eye(keypoints, dtype=bool), 0.0, np.inf)
+    reach[a, b] = reach[b, a] = (lengths + 3 * varies)[known]
+    for via in range(keypoints):  # Floyd and Warshall 1962; scipy's graphs take long to import
+        reach = np.minimum(reach, reach[:, via, None] + reach[via])
+    return reach
+
+
+def are_beyond_reach(points: Floats, reach: Floats) -> Bools:
+    """Return which points `[frame, keypoint]` are farther from most of the others than is possible.
+
+    Two views that take the same thing in the background for a joint agree on where it is. What the
+    bones allow, they do not.
+
+    points: `[frame, keypoint, 3]`. reach: `[keypoint, keypoint]` the largest possible distances.
+    """
+    known = np.triu(np.isfinite(reach), k=1)
+    a, b = np.nonzero(known)
+    square = sum((axis[:, a] - axis[:, b]) ** 2 for axis in points.transpose(2, 0, 1))
+    ends = ((a[:, None] == np.arange(len(reach))) | (b[:, None] == np.arange(len(reach)))) * 1.0
+    beyond, compared = square > reach[known] ** 2, np.isfinite(square)
+    return np.asarray(2 * (beyond @ ends) > compared @ ends)
+
+
+def with_second_neighbours(bones: Ints, keypoints: int) -> Ints:
+    """Return bones `[bone, 2]` and then the pairs that two bones join, all of them `[edge, 2]`.
+
+    Hips, shoulders and heads hardly change their shape: the ends of two bones of theirs are as far
+    from each other as those of one. Those of a leg are not; how much they vary is measured.
+    """
+    joined = np.zeros((keypoints, keypoints), dtype=np.int64)
+    a, b = bones.T
+    joined[a, b] = joined[b, a] = 1
+    second = np.triu((joined @ joined > 0) & (joined == 0), k=1)
+    return np.concatenate([bones, np.argwhere(second)])
+
+
+def fill_gaps(points: Floats, times: Floats) -> Floats:
+    """Return points `[frame, keypoint, 3]` without gaps.
+
+    The joint that is known most often is interpolated in time, and the others by their offsets from
+    it. times: `[frame]`.
+    """
+    known = np.isfinite(points[..., 0])
+    middle = int(known.sum(0).argmax())
+    filled = np.zeros(points.shape)
+    for joint in (middle, *range(points.shape[1])):
+        there, base = known[:, joint], filled[:, middle]
+        between = np.zeros(base.shape)
+        if there.any():
+            offset = points[there, joint] - base[there]
+            between = np.transpose([np.interp(times, times[there], axis) for axis in offset.T])
+        filled[:, joint] = base + between
+    return filled
+
+
+def arrays_to_fill(poses: Poses3D, fitted: list[int]) -> dict[str, Any]:
+    """Return positions, covariance and source: of those who are fitted, nothing yet.
+
+    Of the others they are as they were triangulated. fitted: indices of individuals.
+    """
+    arrays: dict[str, Any] = {
+        "positions": mapped.empty(poses.raw.shape, poses.raw.dtype),
+        "covariance": mapped.empty(poses.covariance.shape, poses.covariance.dtype),
+        "source": mapped.empty(poses.source.shape, np.int8),
+    }
+    known = {"positions": poses.raw, "covariance": poses.covariance, "source": poses.source}
+
+    def fill(block: slice) -> None:
+        for name, array in arrays.items():
+            array[block] = known[name][block]
+            array[block, fitted] = 0 if name == "source" else np.nan
+
+    do_in_threads(fill, mapped.frame_slices(len(poses.frames)))
+    return arrays

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.fit import SHARED_LEAST, SHARED_ROUNDS, Strengths
+from mocap_calib.poses.fit import SHARED_ROUNDS, Strengths
 from mocap_calib.poses.track import Body, Detections, accelerations
 
 ENTRIES = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # xx xy xz yy yz zz
@@ -39,13 +39,10 @@ def shared_accelerations(acceleration: np.ndarray, config: PosesConfig) -> np.nd
 
     A part of their geometric median, some steps from the mean towards it (Weiszfeld 1937).
     """
-    joints, middle, usual = len(acceleration), acceleration.mean(0), None
+    joints, middle = len(acceleration), acceleration.mean(0)
     for _ in range(SHARED_ROUNDS):
-        off = np.linalg.norm(acceleration - middle, axis=-1)
-        usual = off.mean(0) if usual is None else usual
-        weight = 1 / (off + SHARED_LEAST * usual + 1e-100)
+        weight = 1 / (np.linalg.norm(acceleration - middle, axis=-1) + 1e-100)
         middle = (acceleration * weight[..., None]).sum(0) / weight.sum(0)[:, None]
-        usual = joints / weight.sum(0)  # the harmonic mean
     known = joints * config.shared_acceleration
     return middle * known / (1 + known)
 

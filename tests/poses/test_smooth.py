@@ -12,11 +12,18 @@ from mocap_calib.config import Config, PosesConfig
 from mocap_calib.geometry.alignment import Similarity
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.poses import track
 from mocap_calib.poses.choose import error_of_mean
 from mocap_calib.poses.fit import Strengths, fit
 from mocap_calib.poses.stage import smooth_poses
-from mocap_calib.poses.start import bone_lengths, reach_of_bones, with_second_neighbours
-from mocap_calib.poses.track import Body, Detections, acceleration_steps
+from mocap_calib.poses.track import (
+    Body,
+    Detections,
+    acceleration_steps,
+    bone_lengths,
+    reach_of_bones,
+    with_second_neighbours,
+)
 from mocap_calib.results import POINT_SOURCES, Matches, Poses3D, Smoothing
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Recording, World
@@ -268,10 +275,11 @@ def test_a_joint_metres_away_is_not_taken_however_well_the_views_agree_on_it():
     assert (others == codes("triangulated")).mean() > 0.99
 
 
-def test_blocks_of_time_join_without_a_seam():
+def test_blocks_of_time_join_without_a_seam(monkeypatch):
     """Measured: 1e-5 m between blocks of 25 frames and one block."""
     whole, _ = smoothed(**EASY)
-    parts, _ = smooth(recording(**EASY), PosesConfig(block_frames=25), **EASY)
+    monkeypatch.setattr(track, "_BLOCK", 25)
+    parts, _ = smooth(recording(**EASY), **EASY)
     assert np.nanmax(np.abs(parts.positions - whole.positions)) < 2e-3
     assert (parts.source == whole.source).mean() > 0.999
 
