@@ -696,28 +696,25 @@ class FloorConfig:
 
     quantile: of the lowest foot's height. near: feet this far from the plane are not on the floor,
         and feet this near each other are in one place.
-    height_sigma: of the height of feet in one place, twice that of animals and of people who do
-        not stand (of three who sit the plane is 4 to 6 deg off).
+    sigma: of the height of feet in one place, and of soles over the floor; and of the axis of
+        people on straight legs, in radians. Twice that height of animals and of people who do not
+        stand (of three who sit the plane is 4 to 6 deg off), and four times that axis. Measured:
+        axes 0.9 to 3.9 deg off; 14 deg of people who sit, 3 to 15 deg of animals. No floor has feet
+        whose heights spread by more: up to 0.05 on floors; 0.08 and more of simulated rats that
+        rear, 0.13 of a cheetah on a slope.
     straight: share of its length that a leg which stands has (walkers 0.97, seated people 0.7).
-    stand_sigma: of the axis of people on straight legs, in radians; four times that of all other
-        bodies. Measured: 0.9 to 3.9 deg; 14 deg of people who sit, 3 to 15 deg of animals.
     up_sigma: in radians, of each of two directions, however many feet were seen.
-    most_spread: of the feet's heights (up to 0.05 on floors; 0.08 and more of simulated rats that
-        rear, 0.13 of a cheetah on a slope). most_up_sigma: in radians.
-    ankle_height: of ankles over the sole, in lengths of the leg. sole_sigma: of a sole, or of a
-        paw, over the floor.
+    most_up_sigma: in radians.
+    ankle_height: of ankles over the sole, in lengths of the leg.
     """
 
     quantile: float = 0.25
     near: float = 0.5
-    height_sigma: float = 0.06
+    sigma: float = 0.06
     straight: float = 0.93
-    stand_sigma: float = 0.06
     up_sigma: float = 0.01
-    most_spread: float = 0.07
     most_up_sigma: float = 0.09
     ankle_height: float = 0.12
-    sole_sigma: float = 0.05
 
 
 CueKind = Literal["height", "length", "camera distance"]
@@ -897,7 +894,7 @@ class ReadConfig:
     least_share: float = -0.25  # a share below this is on another scale, such as -1 to 1
 
 
-# When two files have the same detections (recording/copies.py). In the shared recordings no
+# When two files have the same detections (recording/views.py). In the shared recordings no
 # detection of one camera was within a pixel of another camera's in all its keypoints.
 COPY_TOLERANCE = 2e-5  # of coordinates, as a share of the largest: files keep three decimals
 COPY_FEW = 20  # distinct detections, and others of one mean that one is compared with
@@ -914,7 +911,7 @@ TYPICAL_PERCENTILE = 99.0
 # Lenses and two views (geometry/lens.py, geometry/epipolar.py)
 LENS_MISS_PX = 0.5  # between a pixel and its ray's: beyond, the lens model has no ray for it
 FIVE_POINT_LEAST_RAYS = 8  # that RANSAC is tried on
-LEAST_FORWARD = 0.1  # cosine of a ray with the optical axis; others have no image point
+LEAST_FORWARD = 0.1  # cosine of a ray with the axis of a plane; others have no image point
 FIVE_POINT_CONFIDENCE = 0.999  # of RANSAC
 
 # Points from the rays of many views (geometry/intersection.py); scales in standard deviations

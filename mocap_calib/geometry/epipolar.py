@@ -86,8 +86,7 @@ def five_point(rays_a: Floats, rays_b: Floats, threshold: float) -> list[tuple[F
     rays_a, rays_b: `[N, 3]` unit rays of matches.
     threshold: largest epipolar error of an inlier in radians.
     """
-    least = LEAST_FORWARD
-    forward = (rays_a[:, 2] > least) & (rays_b[:, 2] > least)
+    forward = (rays_a[:, 2] > LEAST_FORWARD) & (rays_b[:, 2] > LEAST_FORWARD)
     if forward.sum() < FIVE_POINT_LEAST_RAYS:
         return []
     rays_a = rays_a[forward]
@@ -149,9 +148,6 @@ def _decompose_essential(matrix: Floats) -> list[tuple[Floats, Floats]]:
 
 
 _STEPS = 6  # of reweighting
-_LEAST_FORWARD = (
-    0.1  # z of a unit ray about the mean ray: what is beside it has no place in a plane
-)
 _LEAST_MATCHES = 20
 
 
@@ -200,7 +196,7 @@ def _project(rays: Floats) -> tuple[Floats, Bools]:
     axis = rays.mean(0) / np.linalg.norm(rays.mean(0))
     side = np.linalg.svd(axis[None])[2][1:]
     forward = rays @ axis
-    return rays @ side.T / np.maximum(forward, _LEAST_FORWARD)[:, None], forward > _LEAST_FORWARD
+    return rays @ side.T / np.maximum(forward, LEAST_FORWARD)[:, None], forward > LEAST_FORWARD
 
 
 def _normalise(points: Floats) -> tuple[Floats, float]:

@@ -9,7 +9,7 @@ cv2, and without its failures (its fixed-point iteration diverges at strong lens
 inverse returns tan(theta), which breaks near 90 degrees).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -143,16 +143,12 @@ def change_intrinsics(camera: Camera, *, log_focal: float, k1: float) -> Camera:
     return replace(camera, matrix=matrix, distortion=distortion)
 
 
-_BLOCK = 8192  # what is computed of so many stays in the cache
-
-
 def rays_from_pixels(camera: Camera, pixels: Reals) -> Floats:
     """Return the unit rays `[..., 3]` of pixels `[..., 2]`, with the distortion taken out.
 
     NaN stays NaN, and a pixel that no ray projects to is NaN.
     """
-    rows = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-    rays = _convert_in_blocks(unproject, camera, rows, width=3)
+    rays = unproject_views((camera,), np.reshape(pixels, (1, -1, 2)), by_component=False)
     return rays.reshape(*pixels.shape[:-1], 3)
 
 
@@ -161,9 +157,8 @@ def pixels_from_points(camera: Camera, points: Floats) -> Floats:
 
     NaN stays NaN, and a point behind the camera is NaN.
     """
-    rows = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    pixels = _convert_in_blocks(project, camera, rows, width=2)
-    return pixels.reshape(*points.shape[:-1], 2)
+    pixels = project(camera, np.asarray(points, dtype=np.float64).reshape(-1, 3).T)
+    return pixels.T.reshape(*points.shape[:-1], 2)
 
 
 def project_points(rig: CameraRig, points: ArrayLike) -> Floats:
@@ -182,17 +177,6 @@ def project_points(rig: CameraRig, points: ArrayLike) -> Floats:
             for camera, rotation, translation in views
         ]
     )
-
-
-def _convert_in_blocks(
-    convert: Callable[[Camera, Floats], Floats], camera: Camera, rows: Floats, *, width: int
-) -> Floats:
-    """Return `[N, width]` rows, converted by a function that takes and returns components."""
-    converted = np.empty((len(rows), width))
-    for start in range(0, len(rows), _BLOCK):
-        block = slice(start, start + _BLOCK)
-        converted[block] = convert(camera, rows[block].T.copy()).T
-    return converted
 
 
 def points_in_cameras(rig: CameraRig, points: Floats) -> Floats:

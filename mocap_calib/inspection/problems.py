@@ -13,7 +13,6 @@ from mocap_calib.inspection.contents import seen_points
 from mocap_calib.inspection.finding import Finding, critical, warning
 from mocap_calib.inspection.motion import find_still_subjects
 from mocap_calib.inspection.two_views import find_poor_views
-from mocap_calib.recording.copies import find_copies, find_repeated
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.recording.names import (
     check_pixels,
@@ -29,6 +28,7 @@ from mocap_calib.recording.synchronise import (
     largest_confidence,
     recording_of_views,
 )
+from mocap_calib.recording.views import find_copies, find_repeated
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 from mocap_calib.wording import count
 

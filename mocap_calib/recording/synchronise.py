@@ -13,7 +13,6 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, TYPICAL_PERCENTILE
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.lens import rays_from_pixels
-from mocap_calib.recording.copies import check_copies, find_repeated
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.names import (
     keypoint_meanings,
@@ -21,6 +20,7 @@ from mocap_calib.recording.names import (
     pair_with_cameras,
     shared_keypoints,
 )
+from mocap_calib.recording.views import check_copies, find_repeated
 from mocap_calib.types import (
     Bools,
     Camera,

@@ -187,7 +187,7 @@ def find_floor(poses: Poses3D, joints: Joints, config: FloorConfig) -> Floor | s
         return feet
     slope, covariance, middle, residual = _fit_plane(feet, config)
     spread = 1.4826 * float(np.median(np.abs(residual))) / feet.size
-    if spread > config.most_spread:
+    if spread > config.sigma:
         return f"the feet are at different heights (by {100 * spread:.0f} % of the body's size)"
     tension = _tension(slope[:2], covariance[:2, :2], feet.axis_sigma)
     covariance = max(tension, 1.0) * covariance
@@ -198,7 +198,7 @@ def find_floor(poses: Poses3D, joints: Joints, config: FloorConfig) -> Floor | s
         why = "feet and bodies contradict each other" if tension > 1 else "feet are in few places"
         return f"{why} (up is uncertain by {np.degrees(sigma):.0f} deg)"
     point = middle + (slope[2] - _ankle_height(poses.positions, joints, feet.size, config)) * up
-    sole_sigma = config.sole_sigma * feet.size
+    sole_sigma = config.sigma * feet.size
     return Floor(up, sigma, point, float(np.hypot(np.sqrt(covariance[2, 2]), sole_sigma)))
 
 
@@ -243,8 +243,8 @@ def _lowest_feet(positions: Floats, joints: Joints, config: FloorConfig) -> _Fee
         individual=np.nonzero(seen)[1],
         size=size,
         axis=axis,
-        axis_sigma=config.stand_sigma if standing else 4 * config.stand_sigma,
-        height_sigma=size * config.height_sigma * (1.0 if standing else 2.0),
+        axis_sigma=config.sigma if standing else 4 * config.sigma,
+        height_sigma=size * config.sigma * (1.0 if standing else 2.0),
     )
 
 
@@ -266,7 +266,7 @@ def _fit_plane(feet: _Feet, config: FloorConfig) -> tuple[Floats, Floats, Floats
     """
     first, second = _plane_axes(feet.axis)
     scale = feet.height_sigma
-    kink = config.height_sigma * feet.size / 4  # nearer than this the quantile's loss is smooth
+    kink = config.sigma * feet.size / 4  # nearer than this the quantile's loss is smooth
     middle = np.median(feet.points, axis=0)
     offset = feet.points - middle
     place = np.stack([offset @ first, offset @ second, np.ones(len(offset))], axis=1)

@@ -7,8 +7,8 @@ import pytest
 from scenes import PEOPLE, scene
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.recording.copies import find_copies
 from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.recording.views import find_copies
 
 
 def views():

@@ -12,11 +12,11 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.io.cameras.read import read_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.recording.copies import find_repeated
 from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton, match_names
 from mocap_calib.recording.names import match_cameras, views_with_detections
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.recording.views import find_repeated
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 
 PEOPLE = load_skeleton("people")
