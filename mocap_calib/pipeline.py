@@ -38,8 +38,7 @@ from mocap_calib.recording.timeline import clocks_of_rates, retime
 from mocap_calib.recording.views import choose_refinement
 from mocap_calib.results import CalibrationResult, Clocks, GroupResult, Matches, UnusedPair
 from mocap_calib.rig.associate import associate, label_all_frames
-from mocap_calib.rig.averaging import average
-from mocap_calib.rig.graph import camera_groups
+from mocap_calib.rig.averaging import average, camera_groups
 from mocap_calib.rig.large_rigs import calibrate_view_graph
 from mocap_calib.rig.loops import select_hypotheses
 from mocap_calib.rig.observed import Observed, leave_out_underconstrained

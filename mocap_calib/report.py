@@ -27,7 +27,7 @@ from mocap_calib.results import (
     GroupResult,
     PairwiseCalibration,
 )
-from mocap_calib.rig.graph import best_scores
+from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.loops import alternative_taken
 from mocap_calib.types import Bools, EstimatedCamera, Floats
 from mocap_calib.verdict.explained import distances_from_points

@@ -14,9 +14,13 @@ from mocap_calib.geometry.intersection import order_by_views
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches
-from mocap_calib.rig.labels import per_frame_labels
-from mocap_calib.rig.noise import measure_residuals
-from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
+from mocap_calib.rig.tracks import (
+    Tracks,
+    gather_tracks,
+    labelled_frames,
+    measure_residuals,
+    per_frame_labels,
+)
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Recording, Sample
 

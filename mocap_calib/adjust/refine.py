@@ -15,8 +15,7 @@ from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.results import Adjusted, LiftedPoses, Matches
 from mocap_calib.rig.associate import associate, have_same_groups, label_single_subject
 from mocap_calib.rig.factorization import factorise
-from mocap_calib.rig.noise import view_residual
-from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames
+from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames, view_residual
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Progress, Sample, silent
 

@@ -15,7 +15,7 @@ from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation, 
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.kernels.resection import compare
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig.placed import PlacedCameras, choose_frames, place_bodies
+from mocap_calib.rig.observed import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.types import Bools, Floats, Ints, Sample
 
 _UNIT = 0.1  # radians: a tolerance that tells the nearest body from the others

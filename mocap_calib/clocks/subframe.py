@@ -22,9 +22,8 @@ from mocap_calib.config import Config
 from mocap_calib.recording.sampling import evenly_spaced, take_sample, usual_step
 from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.results import Adjusted, Matches, TimeOffsets
-from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.observed import Observed
-from mocap_calib.rig.tracks import Tracks, labelled_frames
+from mocap_calib.rig.tracks import Tracks, labelled_frames, per_frame_labels
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
 _FIRST_POINTS, _POINTS = 4000, 12_000  # that a first look and an estimate take

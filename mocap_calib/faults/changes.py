@@ -21,7 +21,7 @@ from mocap_calib.adjust.resection import (
     typical_error,
 )
 from mocap_calib.config import MovedConfig
-from mocap_calib.rig.noise import MEDIAN_DISTANCE
+from mocap_calib.rig.tracks import MEDIAN_DISTANCE
 from mocap_calib.types import Bools, Floats, Ints
 
 

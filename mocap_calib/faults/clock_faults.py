@@ -7,7 +7,7 @@ from mocap_calib.config import EPOCH_MARK
 from mocap_calib.recording.corrections import find_view
 from mocap_calib.recording.timeline import clocks_from, retime
 from mocap_calib.results import CalibrationResult, Clocks, Fault, FaultWord, GroupResult
-from mocap_calib.rig.graph import best_scores
+from mocap_calib.rig.averaging import best_scores
 from mocap_calib.types import CameraClock, Recording
 from mocap_calib.wording import count
 

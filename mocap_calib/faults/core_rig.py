@@ -13,11 +13,14 @@ from mocap_calib.geometry.alignment import changed_rig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import RigCovariance
 from mocap_calib.rig.associate import associate
-from mocap_calib.rig.averaging import average
-from mocap_calib.rig.graph import camera_groups
+from mocap_calib.rig.averaging import average, camera_groups
 from mocap_calib.rig.large_rigs import takes_all_pairs
-from mocap_calib.rig.observed import Observed, leave_out_underconstrained
-from mocap_calib.rig.placed import PlacedCameras, place_bodies
+from mocap_calib.rig.observed import (
+    Observed,
+    PlacedCameras,
+    leave_out_underconstrained,
+    place_bodies,
+)
 from mocap_calib.rig.tracks import labelled_frames
 from mocap_calib.types import CameraRig, Floats, Ints, Sample, silent
 

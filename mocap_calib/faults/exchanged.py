@@ -15,8 +15,8 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.recording.corrections import Exchanged
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import Fault, GroupResult, Matches
-from mocap_calib.rig.noise import view_residual
 from mocap_calib.rig.observed import Observed
+from mocap_calib.rig.tracks import view_residual
 from mocap_calib.types import CameraRig, Floats, Sample
 
 _LEAST_CAMERAS = 3  # of two nobody can say

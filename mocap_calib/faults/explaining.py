@@ -30,8 +30,8 @@ from mocap_calib.faults.suspicion import is_turned, rolls
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import RigCovariance
-from mocap_calib.rig.noise import MEDIAN_DISTANCE
 from mocap_calib.rig.observed import Observed
+from mocap_calib.rig.tracks import MEDIAN_DISTANCE
 from mocap_calib.types import Camera, CameraRig, Floats, Ints
 
 # explanations that are fitted to all keypoints even where others explain more

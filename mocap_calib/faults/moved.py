@@ -26,9 +26,8 @@ from mocap_calib.recording.corrections import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.recording.timeline import own_name
 from mocap_calib.results import Fault, GroupResult, Matches
-from mocap_calib.rig.labels import per_frame_labels
-from mocap_calib.rig.observed import Observed
-from mocap_calib.rig.placed import Look, PlacedCameras, choose_frames, place_bodies
+from mocap_calib.rig.observed import Look, Observed, PlacedCameras, choose_frames, place_bodies
+from mocap_calib.rig.tracks import per_frame_labels
 from mocap_calib.types import CameraRig, EstimatedCamera, Floats, Ints, Recording, silent
 
 

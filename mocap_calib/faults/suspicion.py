@@ -10,12 +10,12 @@ from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, Matches
-from mocap_calib.rig.noise import view_noise
 from mocap_calib.rig.observed import Observed
 from mocap_calib.rig.tracks import (
     Tracks,
     gather_tracks,
     labelled_frames,
+    view_noise,
 )
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Sample

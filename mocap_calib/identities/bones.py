@@ -14,7 +14,7 @@ from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.identities.pieces import Pieces
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig.likelihood_ratio import LogRatio, measure_log_ratio
+from mocap_calib.rig.associate import LogRatio, measure_log_ratio
 from mocap_calib.types import Floats, Ints
 
 _SAMPLE = 2000  # bodies that spreads are measured on

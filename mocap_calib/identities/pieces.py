@@ -1,8 +1,8 @@
 """Follow groups of detections through space, as far as there is no doubt who goes on as whom.
 
 A piece is a stretch of neighbouring frames in each of which one group is the same individual. It
-ends where the group vanishes, and where another could as well go on as it: `evidence` and `joining`
-say who the pieces are.
+ends where the group vanishes, and where another could as well go on as it: `join`
+says who the pieces are.
 """
 
 from dataclasses import dataclass, replace

@@ -1,7 +1,7 @@
 """Identities through the whole recording.
 
 The groups of all frames are followed as far as that is certain (`pieces`), and the pieces are
-joined by motion, pose and bone lengths (`evidence`, `join`). Where frames do not follow each other,
+joined by motion, pose and bone lengths (`join`, `bones`). Where frames do not follow each other,
 identities go by place alone.
 """
 
@@ -15,12 +15,10 @@ from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.graphs import assign
 from mocap_calib.identities.bones import measure_bones
-from mocap_calib.identities.evidence import motion_evidence, usual_distance_apart
-from mocap_calib.identities.join import join_pieces
+from mocap_calib.identities.join import join_pieces, motion_evidence, usual_distance_apart
 from mocap_calib.identities.pieces import Pieces, cut_into_pieces
 from mocap_calib.results import Matches
-from mocap_calib.rig.labels import name_groups, per_frame_labels, replace_labels
-from mocap_calib.rig.noise import view_noise
+from mocap_calib.rig.tracks import name_groups, per_frame_labels, replace_labels, view_noise
 from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 

@@ -40,7 +40,7 @@ from mocap_calib.recording.timeline import (
 from mocap_calib.report import run_report
 from mocap_calib.report_verdict import verdict_of_cameras
 from mocap_calib.results import CalibrationResult, GroupResult, ObservedPoints
-from mocap_calib.rig.observed_points import observe_points
+from mocap_calib.rig.triangulate import observe_points
 from mocap_calib.types import ARBITRARY
 from mocap_calib.world.floor import stated_joints
 

@@ -33,8 +33,7 @@ from mocap_calib.poses.track import (
 )
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import GroupResult, Matches, Poses3D, Smoothing
-from mocap_calib.rig.noise import view_noise
-from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig.tracks import gather_tracks, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, silent
 
 

@@ -20,9 +20,8 @@ from mocap_calib.geometry.intersection import (
 )
 from mocap_calib.geometry.lens import agreeing_views, rays_in_world, reprojection_error
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.results import Matches, Poses3D
-from mocap_calib.rig.noise import least_noise, measure_errors, view_noise
-from mocap_calib.rig.tracks import Tracks, gather_tracks
+from mocap_calib.results import Matches, ObservedPoints, Poses3D
+from mocap_calib.rig.tracks import Tracks, gather_tracks, least_noise, measure_errors, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Reals, Recording, silent
 
 _LEAST_POINTS = 30  # of a view: with fewer, the noise of all views together is taken
@@ -79,6 +78,38 @@ def triangulate(
         unit=rig.unit,
         covariance=found["covariance"],
         world=rig.world,
+    )
+
+
+def observe_points(
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    config: TriangulateConfig = TriangulateConfig(),
+) -> ObservedPoints:
+    """Return the points that `triangulate` finds, and the detections that each was made of.
+
+    The points are in the order frame, individual, keypoint.
+    """
+    noise = view_noise(recording, rig, matches, config)
+
+    def observe(block: Ints) -> tuple[Floats, Ints, Ints, Floats]:
+        """Return points `[n, 3]`, and the view, the point and the pixels of each detection."""
+        seen, points, used = triangulate_frames(
+            block, recording=recording, rig=rig, matches=matches, noise=noise, config=config
+        )
+        known = np.isfinite(points[0])
+        view, point = np.nonzero(used[:, known])
+        return points[:, known].T, view, point, seen.pixels[:, :, known][view, :, point]
+
+    blocks = frame_blocks(len(recording.frames), matches.individuals * len(recording.keypoints))
+    positions, view, point, pixels = zip(*map_in_threads(observe, blocks), strict=True)
+    starts = np.cumsum([0, *map(len, positions)])
+    return ObservedPoints(
+        positions=np.concatenate(positions),
+        view=np.concatenate(view),
+        point=np.concatenate([own + start for own, start in zip(point, starts, strict=False)]),
+        pixels=np.concatenate(pixels),
     )
 
 

@@ -20,9 +20,8 @@ from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.lens import unproject_views
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Check, GroupResult
-from mocap_calib.rig.graph import best_scores
-from mocap_calib.rig.labels import matched_share
-from mocap_calib.rig.tracks import labelled_frames
+from mocap_calib.rig.averaging import best_scores
+from mocap_calib.rig.tracks import labelled_frames, matched_share
 from mocap_calib.types import Floats
 from mocap_calib.verdict.explained import Leftover, focal_lengths, report_frames
 

@@ -45,8 +45,8 @@ from mocap_calib.results import (
     VerifiedCamera,
 )
 from mocap_calib.rig.associate import associate
-from mocap_calib.rig.labels import matched_share
-from mocap_calib.rig.placed import PlacedCameras
+from mocap_calib.rig.observed import PlacedCameras
+from mocap_calib.rig.tracks import matched_share
 from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.training.device import on_device
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Progress, Recording, Sample, silent

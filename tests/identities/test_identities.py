@@ -9,8 +9,7 @@ from scenes import PEOPLE, scene
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.identities.bones import BoneLengths, measure_bones
-from mocap_calib.identities.evidence import motion_evidence
-from mocap_calib.identities.join import join_pieces
+from mocap_calib.identities.join import join_pieces, motion_evidence
 from mocap_calib.identities.pieces import cut_into_pieces
 from mocap_calib.identities.track import finalise_identities
 from mocap_calib.recording.synchronise import make_recording

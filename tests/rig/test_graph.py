@@ -21,8 +21,7 @@ from mocap_calib.io.keypoints.coco_writer import format_coco
 from mocap_calib.pairs.solve import calibrate_pairs
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import PairwiseCalibration
-from mocap_calib.rig.averaging import average
-from mocap_calib.rig.graph import camera_groups, pairs_among, usable_cameras
+from mocap_calib.rig.averaging import average, camera_groups, pairs_among, usable_cameras
 from mocap_calib.rig.loops import alternative_taken, select_hypotheses
 from mocap_calib.types import Camera, CameraRig, Keypoints2D, silent
 

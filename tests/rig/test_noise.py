@@ -6,8 +6,7 @@ from scenes import recording, scene, truth
 
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry.lens import pixels_from_points
-from mocap_calib.rig.noise import MEDIAN_DISTANCE, view_noise, view_residual
-from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig.tracks import MEDIAN_DISTANCE, gather_tracks, view_noise, view_residual
 from mocap_calib.rig.triangulate import _noise_of_few, _unproject, triangulate
 
 CHI2_95 = 7.815  # of three degrees of freedom

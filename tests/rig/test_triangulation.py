@@ -10,9 +10,9 @@ from scenes import recording, scene, truth
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry.lens import project_views, reprojection_error
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.rig.observed_points import observe_points
 from mocap_calib.rig.triangulate import (
     frame_blocks,
+    observe_points,
     triangulate,
     triangulate_rays,
 )

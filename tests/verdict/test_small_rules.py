@@ -16,10 +16,10 @@ from mocap_calib.faults import suspicion
 from mocap_calib.faults.changes import _choose_number
 from mocap_calib.faults.mend import _has_moved, _refuting_gain
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.identities.evidence import _pieces_between
+from mocap_calib.identities.join import _pieces_between
 from mocap_calib.results import Matches
-from mocap_calib.rig.graph import best_scores
-from mocap_calib.rig.labels import matched_share
+from mocap_calib.rig.averaging import best_scores
+from mocap_calib.rig.tracks import matched_share
 from mocap_calib.types import Camera, EstimatedCamera
 from mocap_calib.verdict.checks import clocks
 from mocap_calib.verdict.verdict import _left_open
