@@ -915,17 +915,14 @@ LEAST_FORWARD = 0.1  # cosine of a ray with the axis of a plane; others have no 
 FIVE_POINT_CONFIDENCE = 0.999  # of RANSAC
 
 # Points from the rays of many views (geometry/intersection.py); scales in standard deviations
-INTERSECT_ALL_PAIRS_VIEWS = 7  # views up to which all pairs of them give candidates
 INTERSECT_STEPS = 2  # after the closed form: the third moves a point by 1e-9 of its distance
 INTERSECT_LOSS_SCALE = 3.0
 INTERSECT_TIGHTENING_SCALES = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # of the loss, among outliers
-INTERSECT_POLISH_STEPS = 6  # after the best pair was found
 INTERSECT_OUTLIER = 16.0  # squared error from which on a ray does not belong
 # squared error for each of the rays, from which on a point starts again: of few rays a wrong one
 # bends the point to itself
 INTERSECT_DOUBTFUL = 4 / 3
-INTERSECT_AGREEING_SHARE = 0.6  # of a point's rays that must meet for the rest to be outliers
-INTERSECT_AGREEING_RAYS = 3  # and so many of them at least
+INTERSECT_AGREEING_RAYS = 3  # that must meet, and half of all, for the rest to be outliers
 
 # COLMAP and nerfstudio have (0, 0) at the corner of the first pixel, we have it at its centre
 CORNER_OFFSET = 0.5

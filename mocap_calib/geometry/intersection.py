@@ -2,9 +2,9 @@
 
 All points start in closed form (weighted least squares on lines) and take Gauss-Newton steps on
 angles. Those whose rays do not all meet there start again under a loss that tightens, and where
-too few rays agree even then, every pair of rays gives a candidate. Arrays are kept by component,
-`[view, 3, N]`, in blocks that stay in the cache, each with the views that see any of its points: in
-a large hall a point is seen by a few views of all.
+fewer than half of the rays agree even then, every pair of rays gives a candidate. Arrays are kept
+by component, `[view, 3, N]`, in blocks that stay in the cache, each with the views that see any of
+its points: in a large hall a point is seen by a few views of all.
 
 Covariances are to first order, with J the derivatives of the rays' angles by the point: a ray that
 is seen at the distance d along the unit vector u has J' J = (I - u u') / d^2.
@@ -20,12 +20,9 @@ from numpy.typing import NDArray
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import (
     INTERSECT_AGREEING_RAYS,
-    INTERSECT_AGREEING_SHARE,
-    INTERSECT_ALL_PAIRS_VIEWS,
     INTERSECT_DOUBTFUL,
     INTERSECT_LOSS_SCALE,
     INTERSECT_OUTLIER,
-    INTERSECT_POLISH_STEPS,
     INTERSECT_STEPS,
     INTERSECT_TIGHTENING_SCALES,
     SMALL_RIG,
@@ -52,15 +49,7 @@ def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
         len(first),
         np.full(INTERSECT_STEPS, INTERSECT_LOSS_SCALE),
         np.array(INTERSECT_TIGHTENING_SCALES),
-        np.full(INTERSECT_POLISH_STEPS, INTERSECT_LOSS_SCALE),
-        np.array(
-            [
-                INTERSECT_DOUBTFUL,
-                INTERSECT_OUTLIER,
-                INTERSECT_AGREEING_RAYS,
-                INTERSECT_AGREEING_SHARE,
-            ]
-        ),
+        np.array([INTERSECT_DOUBTFUL, INTERSECT_OUTLIER, INTERSECT_AGREEING_RAYS]),
         points,
     )
     return points + middle[:, None]
@@ -73,7 +62,7 @@ def _candidate_pairs(views: int) -> tuple[list[tuple[int, int]], list[tuple[int,
     the next one, and with the one a third of the rig away.
     """
     pairs = list(combinations(range(views), 2))
-    if views <= INTERSECT_ALL_PAIRS_VIEWS:
+    if views <= SMALL_RIG:
         return pairs, []
     neighbours = {
         (min(view, other), max(view, other))
@@ -126,20 +115,16 @@ def median_angles(rig: CameraRig, points: Floats, weight: Floats) -> Floats:
     medians = np.full(weight.shape, _UNTOUCHED)
 
     def measure(block: ViewBlock) -> Floats:
-        own, seen_by = rig.select(block.views), block.take(weight)
-        return _median_angles_in_block(own, points[:, block.points], seen_by)
+        """Return the medians of a block, where most views see most of the points."""
+        seen_by = block.take(weight)
+        found = np.empty(seen_by.shape)
+        given = contiguous(rig.centres[block.views], points[:, block.points], seen_by)
+        kernels.median_angles(*given, _LEAST_SHARE, _UNTOUCHED, found)
+        return found
 
     blocks = view_blocks(np.asarray(weight > 0))
     for block, found in zip(blocks, map_in_threads(measure, blocks), strict=True):
         block.put(found, medians)
-    return medians
-
-
-def _median_angles_in_block(rig: CameraRig, points: Floats, weight: Floats) -> Floats:
-    """Return what `median_angles` does of a block, where most views see most of the points."""
-    medians = np.empty(weight.shape)
-    given = contiguous(rig.centres, points, weight)
-    kernels.median_angles(*given, _LEAST_SHARE, _UNTOUCHED, medians)
     return medians
 
 

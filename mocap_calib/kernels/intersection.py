@@ -176,10 +176,7 @@ def _gather(
     return count
 
 
-@kernel(
-    "f8[:,::1], f8[:,:,::1], f8[:,::1], i8[:,::1], i8, f8[::1], f8[::1], f8[::1], f8[::1], "
-    "f8[:,::1]"
-)
+@kernel("f8[:,::1], f8[:,:,::1], f8[:,::1], i8[:,::1], i8, f8[::1], f8[::1], f8[::1], f8[:,::1]")
 def intersect_rays(
     centres: Floats,
     world: Floats,
@@ -188,7 +185,6 @@ def intersect_rays(
     first: int,
     steps: Floats,
     tightening: Floats,
-    polish: Floats,
     limits: Floats,
     points: Floats,
 ) -> None:
@@ -196,8 +192,8 @@ def intersect_rays(
 
     centres: `[view, 3]`. world: `[view, 3, N]` unit rays. seen: `[view, N]` inverse variances of
     angles, 0 = not seen. pairs: `[pair, 2]` that give candidates, the first so many in any case.
-    steps, tightening, polish: scales of the loss at each step; where not all rays meet; and after
-    the best pair was found. limits: (4,) INTERSECT_DOUBTFUL, _OUTLIER, _AGREEING_RAYS, _SHARE.
+    steps, tightening: scales of the loss at each step, and where not all rays meet. limits: (3,)
+    INTERSECT_DOUBTFUL, _OUTLIER, _AGREEING_RAYS.
     """
     views, doubtful, outlier = len(centres), limits[0], limits[1]
     rows, centre, ray = np.empty(views, dtype=np.int64), np.empty((views, 3)), np.empty((views, 3))
@@ -214,9 +210,9 @@ def intersect_rays(
         if count > 2 and _count_meeting(count, centre, ray, precision, point, most) < count:
             _refine(count, centre, ray, precision, tightening, weight, matrix, side, point)
             meeting = _count_meeting(count, centre, ray, precision, point, outlier)
-            if not (meeting >= limits[2] and meeting >= limits[3] * count):
+            if meeting < limits[2] or 2 * meeting < count:
                 _search_pairs(
                     rows, pairs, first, count, centre, ray, precision, outlier, found, point
                 )
-                _refine(count, centre, ray, precision, polish, weight, matrix, side, point)
+                _refine(count, centre, ray, precision, steps, weight, matrix, side, point)
         points[:, n] = point

@@ -4,11 +4,9 @@ import numpy as np
 
 from mocap_calib.config import (
     INTERSECT_AGREEING_RAYS,
-    INTERSECT_AGREEING_SHARE,
     INTERSECT_DOUBTFUL,
     INTERSECT_LOSS_SCALE,
     INTERSECT_OUTLIER,
-    INTERSECT_POLISH_STEPS,
     INTERSECT_STEPS,
     INTERSECT_TIGHTENING_SCALES,
 )
@@ -60,14 +58,14 @@ def intersect_point(centres: Floats, rays: Floats, precision: Floats, pairs) -> 
         return point
     point = refine(point, *given, INTERSECT_TIGHTENING_SCALES)
     meeting = (squared_errors(point, *given) <= INTERSECT_OUTLIER).sum()
-    if meeting >= INTERSECT_AGREEING_RAYS and meeting >= INTERSECT_AGREEING_SHARE * count:
+    if meeting >= INTERSECT_AGREEING_RAYS and 2 * meeting >= count:
         return point
     candidates = [solve(precision[both], rays[both], centres[both]) for both in pairs]
     costs = [
         np.minimum(squared_errors(candidate, *given), INTERSECT_OUTLIER).sum()
         for candidate in candidates
     ]
-    return refine(candidates[np.argmin(costs)], *given, [loss] * INTERSECT_POLISH_STEPS)
+    return refine(candidates[np.argmin(costs)], *given, [loss] * INTERSECT_STEPS)
 
 
 def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
