@@ -31,14 +31,9 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 
-def rotation_vector(camera: PosedCamera) -> Floats:
-    """`[3]` rotation vector of cam_from_world in radians, as of `cv2.Rodrigues`."""
-    return vector_from_matrix(camera.rotation)
-
-
-def rotation_vectors(rig: CameraRig) -> Floats:
-    """`[view, 3]` rotation vectors of cam_from_world in radians."""
-    return vector_from_matrix(rig.rotation)
+def rotation_vectors(posed: PosedCamera | CameraRig) -> Floats:
+    """`[3]` or `[view, 3]` rotation vectors of cam_from_world in radians, as of `cv2.Rodrigues`."""
+    return vector_from_matrix(posed.rotation)
 
 
 def triangulate(
@@ -137,8 +132,10 @@ def to_xarray(
     return to_dataset(describe_poses(poses, fps, individuals))
 
 
-def plot_group(group: GroupResult, *, moments: int = 60) -> "Figure":
+def plot(found: GroupResult | CalibrationResult, *, moments: int = 60) -> "Figure":
     """Return a figure of plotly: cameras with their names, floor, and bodies with a slider.
+
+    Of a result, the largest group of cameras.
 
     moments: how many frames the slider has at most; they are spread over the recording.
 
@@ -147,16 +144,11 @@ def plot_group(group: GroupResult, *, moments: int = 60) -> "Figure":
     """
     from mocap_calib.notebook.figure import draw_group
 
-    return draw_group(group, moments)
-
-
-def plot_result(result: CalibrationResult, *, moments: int = 60) -> "Figure":
-    """Return a figure of the largest group of cameras, see `plot_group`."""
-    return plot_group(result.groups[0], moments=moments)
+    return draw_group(found if isinstance(found, GroupResult) else found.groups[0], moments)
 
 
 _BOUND: dict[type[Any], dict[str, Any]] = {
-    PosedCamera: {"rvec": property(rotation_vector)},
+    PosedCamera: {"rvec": property(rotation_vectors)},
     CameraRig: {
         "rvec": property(rotation_vectors),
         "project": project_points,
@@ -168,8 +160,8 @@ _BOUND: dict[type[Any], dict[str, Any]] = {
         "from_keypoints": staticmethod(from_keypoints),
     },
     Poses3D: {"to_xarray": to_xarray},
-    GroupResult: {"plot": plot_group, "_repr_html_": describe_group},
-    CalibrationResult: {"plot": plot_result, "_repr_html_": describe_result},
+    GroupResult: {"plot": plot, "_repr_html_": describe_group},
+    CalibrationResult: {"plot": plot, "_repr_html_": describe_result},
 }
 for _record, _methods in _BOUND.items():
     for _name, _method in _methods.items():

@@ -716,8 +716,8 @@ class GroupResult(Record):
 
     if TYPE_CHECKING:  # bound by `methods`
 
-        def plot(self, *, moments: int = 60) -> "Figure":
-            """Return a figure of plotly, see `methods.plot_group`."""
+        def plot(self, *, moments: int = ...) -> "Figure":
+            """Return a figure of plotly, see `methods.plot`."""
 
     @property
     def rig(self) -> CameraRig:
@@ -787,8 +787,8 @@ class CalibrationResult(Record):
 
     if TYPE_CHECKING:  # bound by `methods`
 
-        def plot(self, *, moments: int = 60) -> "Figure":
-            """Return a figure of plotly, see `methods.plot_result`."""
+        def plot(self, *, moments: int = ...) -> "Figure":
+            """Return a figure of plotly, see `methods.plot`."""
 
 
 # where a camera of a calibration is: docs/verify.md says what each means

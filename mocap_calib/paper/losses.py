@@ -170,5 +170,5 @@ def geometric_loss(rotation: Tensor, rays_a: Tensor, rays_b: Tensor, weight: Ten
     trace = matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
     values = torch.linalg.eigvalsh(matrix / (trace + _EPSILON))  # (..., 3) ascending
     # The root has no slope at zero: an angle of 1e-5 is below what any image resolves.
-    smallest, second = values[..., 0].clamp_min(0), values[..., 1]
-    return torch.sqrt((smallest + 1e-10) / (second + 1e-10))
+    smallest, second = (values[..., :2].clamp_min(0) + 1e-10).unbind(-1)
+    return torch.sqrt(smallest / second)

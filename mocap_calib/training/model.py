@@ -38,8 +38,7 @@ class LifterModule(nn.Module):
         super().__init__()
         self.config = config
         self.position = nn.Linear(2, config.width)
-        self.missing = nn.Parameter(0.02 * torch.randn(config.width))
-        self.joint = nn.Parameter(0.5 * torch.randn(config.joints, config.width))
+        self.missing, self.joint = _learnt_tokens(config.joints, config.width)
         self.encoder = transformer_encoder(config.width, heads=config.heads, layers=config.layers)
         self.head = nn.Linear(config.width, 5)
 
@@ -72,6 +71,12 @@ def lifter_of(module: LifterModule) -> Lifter:
     return Lifter(
         module.config, {name: each.cpu().numpy() for name, each in module.state_dict().items()}
     )
+
+
+def _learnt_tokens(tokens: int, width: int) -> tuple[nn.Parameter, nn.Parameter]:
+    """Return what stands for a missing position `[width]`, and for each token `[token, width]`."""
+    missing, own = torch.randn(width), torch.randn(tokens, width)
+    return nn.Parameter(0.02 * missing), nn.Parameter(0.5 * own)
 
 
 def transformer_encoder(width: int, *, heads: int, layers: int) -> nn.TransformerEncoder:
@@ -120,8 +125,7 @@ class TokenSteerer(nn.Module):
         width = config.width
         self.position = _mlp(2, width, width)
         self.rotation = _mlp(3, width, width)
-        self.missing = nn.Parameter(0.02 * torch.randn(width))
-        self.embedding = nn.Parameter(0.5 * torch.randn(config.joints + 1, width))
+        self.missing, self.embedding = _learnt_tokens(config.joints + 1, width)
         self.encoder = transformer_encoder(width, heads=config.heads, layers=config.layers)
         self.head = _mlp(width, 4 * width, 2 * config.joints)
 

@@ -16,7 +16,7 @@ from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector, vector_from_matrix
 from mocap_calib.training.config import HIDDEN_LIMBS, OUTLIER_NOISE, PairsConfig, TrainConfig
 from mocap_calib.training.model import normalise
-from mocap_calib.training.poses import SPLITS, PoseSet, Split
+from mocap_calib.training.poses import PoseSet, Split, every_tenth
 from mocap_calib.types import Floats, Ints, Skeleton
 
 _LEG = ("hip", "knee", "ankle")
@@ -302,9 +302,7 @@ class PairSynthesiser(_Source):
 def _pairs_of_views(views: int, config: PairsConfig, split: Split) -> Ints:
     """Return the pairs `[pair, 2]` of views (indices) of a split, 7:2:1."""
     pairs = np.random.default_rng(config.seed).integers(views, size=(config.pairs, 2))
-    tenth = config.pairs // 10
-    parts = np.split(pairs, [7 * tenth, 9 * tenth])
-    return dict(zip(SPLITS, parts, strict=True))[split]
+    return np.asarray(pairs[every_tenth(len(pairs), split)])
 
 
 def hemisphere_views(cameras: int, rolls: int) -> Floats:
