@@ -7,9 +7,9 @@ import pytest
 from scenes import PEOPLE, scene
 
 from mocap_calib.inspection import find_problems, inspect_views
-from mocap_calib.inspection.config import InspectConfig
-from mocap_calib.inspection.motion import measure_motion
-from mocap_calib.inspection.two_views import compare_views, find_poor_views
+from mocap_calib.inspection.contents import measure_motion
+from mocap_calib.inspection.finding import InspectConfig
+from mocap_calib.inspection.view_pairs import compare_views, find_poor_views
 from mocap_calib.types import Keypoints2D
 
 CONFIG = InspectConfig()

@@ -8,7 +8,7 @@ import pytest
 from keypoint_files import coco_bytes
 
 from mocap_calib.inspection import fill_image_sizes, find_problems, inspect_views
-from mocap_calib.inspection.config import InspectConfig
+from mocap_calib.inspection.finding import InspectConfig
 from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.types import Camera, CameraRig, Keypoints2D

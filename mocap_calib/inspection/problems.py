@@ -7,12 +7,9 @@ import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS, TYPICAL_PERCENTILE, SampleConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.inspection.clocks import find_clock_problems
-from mocap_calib.inspection.config import InspectConfig
 from mocap_calib.inspection.contents import seen_points
-from mocap_calib.inspection.finding import Finding, critical, warning
-from mocap_calib.inspection.motion import find_still_subjects
-from mocap_calib.inspection.two_views import find_poor_views
+from mocap_calib.inspection.finding import Finding, InspectConfig, critical, warning
+from mocap_calib.inspection.view_pairs import find_clock_problems, find_poor_views
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.recording.names import (
     check_pixels,
@@ -57,7 +54,7 @@ def find_problems(
         *_find_too_few_views(usable),
         *_find_other_scales(usable, config),
         *find_clock_problems(usable, report["pairs"], config),
-        *find_still_subjects(usable, report["cameras"], config),
+        *_find_still_subjects(usable, report["cameras"], config),
         *find_poor_views(usable, report["pairs"], meanings, config),
         *_find_name_problems(usable, meanings, known_joints=report["model"]["knows"]),
         *_find_copies(usable, meanings, config),
@@ -108,6 +105,24 @@ def _find_copies(
     return [
         critical(f"{copy.says}; give each camera its own file")
         for copy in find_copies(usable, meanings, least=config.copied)
+    ]
+
+
+def _find_still_subjects(
+    usable: Sequence[Keypoints2D], cameras: Sequence[Mapping[str, Any]], config: InspectConfig
+) -> list[Finding]:
+    """Say that hardly anything moves, where that is so. cameras: of the report."""
+    names = {view.camera for view in usable}
+    motion = [each["motion"] for each in cameras if each["name"] in names]
+    known = [value for value in motion if value is not None]
+    if not known or np.median(known) >= config.least_motion:
+        return []
+    return [
+        warning(
+            f"hardly anything moves: between frames bodies are {np.median(known):.0%} of their "
+            f"size apart, expected {config.least_motion:.0%} or more; still subjects do not "
+            "determine where cameras stand: let somebody walk about and turn"
+        )
     ]
 
 

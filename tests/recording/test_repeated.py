@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scenes import scene
 
-from mocap_calib.inspection.config import InspectConfig
+from mocap_calib.inspection.finding import InspectConfig
 from mocap_calib.inspection.problems import _find_weaknesses
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.synchronise import make_recording
