@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap_calib import __version__, mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import Config, IntrinsicsConfig
+from mocap_calib.config import AveragingConfig, IntrinsicsConfig
 from mocap_calib.faults.clock_faults import describe_clock
 from mocap_calib.faults.words import describe_faults
 from mocap_calib.geometry.rotation import angle_between
@@ -29,45 +29,41 @@ from mocap_calib.results import (
 )
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.loops import alternative_taken
-from mocap_calib.types import Bools, EstimatedCamera, Floats
+from mocap_calib.types import EstimatedCamera, Floats
 from mocap_calib.verdict.explained import distances_from_points
 
 SCHEMA = 3  # goes up when a key of run.json goes or changes its meaning
 
 
 def run_report(
-    group: GroupResult,
-    result: CalibrationResult,
-    *,
-    seed: int,
-    config: Config,
-    inputs: Mapping[str, str],
+    group: GroupResult, result: CalibrationResult, *, inputs: Mapping[str, str]
 ) -> dict[str, Any]:
     """Return all numbers of a run for one group of cameras, under the keys of run.json.
 
     inputs: path -> SHA-256. What is not known is None.
     """
     error, sigmas = distances_from_points(group), describe_pair_sigmas(group)
+    frames, averaging = group.recording.frames, result.config.averaging
     return {
         "schema": SCHEMA,
         "verdict": describe_verdict(group),
         "version": __version__,
-        "seed": seed,
-        "config": asdict(config),
+        "seed": result.seed,
+        "config": asdict(result.config),
         "inputs": dict(inputs),
         "seconds": {stage: round(seconds, 3) for stage, seconds in group.seconds.items()},
         "unit": group.rig.unit,
         "world": world_fields(group.rig.world, group.rig.unit),
-        "frames": _describe_frames(group),
+        "frames": {"first": int(frames[0]), "last": int(frames[-1]), "count": len(frames)},
         "keypoints": list(group.recording.keypoints),
         "clocks": [describe_clock(clock, result.clocks) for clock in result.clocks.cameras],
         "left_out": list(result.left_out),
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
-        "epochs": describe_epochs(group.rig.names, group.recording.frames),
-        "cameras": _describe_cameras(group, error, config, result.faults),
+        "epochs": describe_epochs(group.rig.names, frames),
+        "cameras": _describe_cameras(group, error, result),
         "pairs": list(
             map_in_threads(
-                lambda k: sigmas[k] | _describe_pair(group, k, error, config),
+                lambda k: sigmas[k] | _describe_pair(group, k, error, averaging),
                 range(len(group.pairs)),
             )
         ),
@@ -80,82 +76,51 @@ def run_report(
 
 def rig_report(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
     """Return the part of `run_report` that says how far the cameras of a group can be trusted."""
-    config, error = result.config, distances_from_points(group)
+    error = distances_from_points(group)
     return {
         "unit": group.rig.unit,
         "verdict": describe_verdict(group),
         "left_out": list(result.left_out),
-        "cameras": _describe_cameras(group, error, config, result.faults),
+        "cameras": _describe_cameras(group, error, result),
         "pairs": describe_pair_sigmas(group),
         "points": _describe_points(group, error),
     }
 
 
-def _describe_frames(group: GroupResult) -> dict[str, int]:
-    """Return which frames the recording has."""
-    frames = group.recording.frames
-    return {"first": int(frames[0]), "last": int(frames[-1]), "count": len(frames)}
-
-
 def _describe_cameras(
-    group: GroupResult, error: Floats, config: Config, faults: Sequence[Fault]
+    group: GroupResult, error: Floats, result: CalibrationResult
 ) -> list[dict[str, Any]]:
-    """Return what is known of each camera, which has several views where it was moved.
+    """Return what is known of each camera; of its views, where it was moved, one holds at a time.
 
-    error: `[view, frame, individual, keypoint]` reprojection errors in pixels. faults: of all.
-    """
-    all_detected = group.recording.detected
-
-    def describe(item: tuple[str, list[int]]) -> dict[str, Any]:
-        name, own = item
-        its_faults = [fault for fault in faults if fault.camera == name]
-        return _describe_camera(
-            group,
-            name,
-            own,
-            detected=all_detected[own],
-            error=error[own],
-            config=config,
-            faults=its_faults,
-        )
-
-    return list(map_in_threads(describe, views_by_camera(group.rig.names).items()))
-
-
-def _describe_camera(
-    group: GroupResult,
-    name: str,
-    views: list[int],
-    *,
-    detected: Bools,
-    error: Floats,
-    config: Config,
-    faults: Sequence[Fault],
-) -> dict[str, Any]:
-    """Return what is known of one camera.
-
-    views: its indices, of which one holds at a time. faults: of this camera. Of its views:
-    detected: `[view, frame, instance]` where there is a detection.
     error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
     """
-    matched = detected & (group.matches.labels[views] >= 0)
-    score = float(best_scores(group.pairs, len(group.rig))[views].min())
-    return {
-        "name": name,
-        "frames": int(detected.any(-1).sum()),
-        "detections": int(detected.sum()),
-        "matched": int(matched.sum()),
-        "unmatched": int((detected & ~matched).sum()),
-        "faults": _name_faults(group, views, faults),
-        "fault_evidence": describe_faults(faults),
-        "weak_perspective": bool(group.uncertainty.weak_perspective[views].any()),
-        **describe_sigma(group, views),
-        "clock": _describe_clock(group, views[0]),
-        "intrinsics": _describe_intrinsics(group, views[0], config.intrinsics),
-        "reprojection_error_px": _median_and_p95(error),
-        "pair_score": finite_or_none(score),
-        "weak": score < config.averaging.weak_score,
-    }
+    all_detected, config = group.recording.detected, result.config
+    scores = best_scores(group.pairs, len(group.rig))
+
+    def describe(camera: tuple[str, list[int]]) -> dict[str, Any]:
+        name, views = camera
+        detected = all_detected[views]
+        matched = int((detected & (group.matches.labels[views] >= 0)).sum())
+        score = float(scores[views].min())
+        faults = [fault for fault in result.faults if fault.camera == name]
+        return {
+            "name": name,
+            "frames": int(detected.any(-1).sum()),
+            "detections": int(detected.sum()),
+            "matched": matched,
+            "unmatched": int(detected.sum()) - matched,
+            "faults": _name_faults(group, views, faults),
+            "fault_evidence": describe_faults(faults),
+            "weak_perspective": bool(group.uncertainty.weak_perspective[views].any()),
+            **describe_sigma(group, views),
+            "clock": _describe_clock(group, views[0]),
+            "intrinsics": _describe_intrinsics(group, views[0], config.intrinsics),
+            "reprojection_error_px": _median_and_p95(error[views]),
+            "pair_score": finite_or_none(score),
+            "weak": score < config.averaging.weak_score,
+        }
+
+    return list(map_in_threads(describe, views_by_camera(group.rig.names).items()))
 
 
 def _describe_intrinsics(group: GroupResult, view: int, config: IntrinsicsConfig) -> dict[str, Any]:
@@ -200,23 +165,24 @@ def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) 
     return list(dict.fromkeys([*words, *found]))
 
 
-def _describe_pair(group: GroupResult, index: int, error: Floats, config: Config) -> dict[str, Any]:
+def _describe_pair(
+    group: GroupResult, index: int, error: Floats, config: AveragingConfig
+) -> dict[str, Any]:
     """Return what is known of one pair of cameras.
 
     First what the rig makes of the points that both views see, then what the pair by itself
-    found, then how far that is from the rig.
+    found, then how well it agrees with the rig that the pairs were averaged to.
 
     error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
     """
-    pair = group.pairs[index]
+    pair, averaged = group.pairs[index], group.averaged
     error = error[[pair.a, pair.b]]
-    first, second = group.rig.cameras[pair.a], group.rig.cameras[pair.b]
-    focal = (first.focal + second.focal) / 2
-    in_both = np.isfinite(error).all(0)
+    focal = (group.rig.cameras[pair.a].focal + group.rig.cameras[pair.b].focal) / 2
+    weight = float(averaged.weight[index])
     return {
         "frames": pair.frames,
         "matches": _count_matches(group, pair),
-        "reprojection_error_px": _median_and_p95(error[:, in_both].ravel()),
+        "reprojection_error_px": _median_and_p95(error[:, np.isfinite(error).all(0)].ravel()),
         "sampled_matches": len(pair.matches),
         "score": pair.score,
         "source": pair.source,
@@ -224,9 +190,18 @@ def _describe_pair(group: GroupResult, index: int, error: Floats, config: Config
         "epipolar_error_deg": finite_or_none(np.degrees(pair.residual)),
         "epipolar_error_px": finite_or_none(pair.residual * focal),
         "baseline_body_sizes": float(np.linalg.norm(pair.translation)),
-        **_describe_loops(group, index, config),
+        "loop_rotation_deg": float(np.degrees(averaged.loop_error[index])),
+        "loop_translation_deg": float(np.degrees(averaged.translation_error[index])),
+        "weight": weight,
+        "breaks_loop": weight < config.breaks,
         "alternative_taken": alternative_taken(pair),
-        "alternatives": [_describe_alternative(other, pair) for other in pair.alternatives],
+        "alternatives": [
+            {
+                "score": other.score,
+                "turned_deg": float(np.degrees(angle_between(other.rotation, pair.rotation))),
+            }
+            for other in pair.alternatives
+        ],
     }
 
 
@@ -236,26 +211,6 @@ def _count_matches(group: GroupResult, pair: PairwiseCalibration) -> int:
     in_a = labels[pair.a][:, :, None]
     in_b = labels[pair.b][:, None]
     return int(((in_a == in_b) & (in_a >= 0)).sum())
-
-
-def _describe_loops(group: GroupResult, index: int, config: Config) -> dict[str, Any]:
-    """Return how well a pair agrees with the rig that the pairs were averaged to."""
-    averaged = group.averaged
-    weight = float(averaged.weight[index])
-    return {
-        "loop_rotation_deg": float(np.degrees(averaged.loop_error[index])),
-        "loop_translation_deg": float(np.degrees(averaged.translation_error[index])),
-        "weight": weight,
-        "breaks_loop": weight < config.averaging.breaks,
-    }
-
-
-def _describe_alternative(
-    other: PairwiseCalibration, pair: PairwiseCalibration
-) -> dict[str, float]:
-    """Return the score of another answer of a pair, and how far it is from the one taken."""
-    turn = angle_between(other.rotation, pair.rotation)
-    return {"score": other.score, "turned_deg": float(np.degrees(turn))}
 
 
 def _describe_individuals(group: GroupResult) -> list[dict[str, Any]]:

@@ -27,7 +27,7 @@ def report_source(*, fps: float = 30.0, **scene: Any) -> ReportSource:
     """Return what the report of a simulated recording is made of. scene: as of `scenes.scene`."""
     result = calibrate_all(recording(**scene))
     group = result.groups[0]
-    run = run_report(group, result, seed=0, config=result.config, inputs={})
+    run = run_report(group, result, inputs={})
     groups = [{"folder": ".", "cameras": list(group.rig.names)}]
     more = {"date": "2026-01-31T12:00:00Z", "model": group.recording.model, "groups": groups}
     skeleton = load_vocabulary(group.recording.model)

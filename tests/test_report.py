@@ -95,7 +95,7 @@ def test_offsets_of_clocks_are_reported_where_they_are_used(tmp_path):
     assert found.clock_offsets == {"cam2": -0.3}
     clocks = Clocks.of_one(found.recording)
     result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=(), clocks=clocks)
-    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    report = run_report(found, result, inputs={})
     clocks = [camera["clock"] for camera in report["cameras"]]
     assert clocks[1] == {"subframe_offset": -0.3, "sigma": 0.02, "used": True}
     assert clocks[2] == {"subframe_offset": -0.04, "sigma": 0.03, "used": False}
@@ -117,7 +117,7 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
     result = CalibrationResult(
         groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
-    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    report = run_report(found, result, inputs={})
     faults = [camera["faults"] for camera in report["cameras"]]
     assert faults == [[], ["inconsistent"], [], []]
     assert report["verdict"]["translation"] == "not observable"
@@ -138,7 +138,7 @@ def test_every_finding_of_a_report_is_said_in_one_place():
     result = CalibrationResult(
         groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
-    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    report = run_report(found, result, inputs={})
     sound = describe_group(report, Path("out"))
     camera, pair = report["cameras"][0], report["pairs"][0]
     for entry, worst, word, lines in (
@@ -188,7 +188,7 @@ def test_files_say_the_verdict_and_what_explains_it():
     result = CalibrationResult(
         groups=(found,), left_out=("cam9",), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
-    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    report = run_report(found, result, inputs={})
     judged = verdict_of_cameras(report)
     assert list(report)[:2] == ["schema", "verdict"]
     assert (judged["adjusted"], judged["verdict"]) == (True, report["verdict"]["rig"])
@@ -222,7 +222,7 @@ def test_the_error_is_what_anipose_calls_one():
     result = CalibrationResult(
         groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
-    points = run_report(found, result, seed=0, config=Config(), inputs={})["points"]
+    points = run_report(found, result, inputs={})["points"]
     pixels = gather_tracks(found.recording, found.matches, np.arange(60)).pixels
     images = project_views(found.rig, found.poses.raw.reshape(-1, 3).T)
     error = np.linalg.norm(images - pixels, axis=1)
@@ -241,7 +241,7 @@ def test_individuals_are_counted_by_camera():
     result = CalibrationResult(
         groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
-    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    report = run_report(found, result, inputs={})
     assert "cam1" in report["individuals"][0]["cameras"]
     assert "cam1" not in report["individuals"][1]["cameras"]
     for each in report["individuals"]:

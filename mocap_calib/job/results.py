@@ -213,9 +213,7 @@ def _report_groups(
     ]
     shared = {"date": date_of_making(), **described, "groups": groups}
     return [
-        unsigned_zeros(
-            run_report(group, result, seed=result.seed, config=result.config, inputs=inputs)
-        )
+        unsigned_zeros(run_report(group, result, inputs=inputs))
         | {"model": group.recording.model, **shared}
         for group in result.groups
     ]
