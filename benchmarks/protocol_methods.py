@@ -14,7 +14,7 @@ from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseCon
 from mocap_calib.geometry.epipolar import pose_from_essential
 from mocap_calib.lift.lift import lift, rays_by_joint
 from mocap_calib.pairs.solve import calibrate_pair, pair_problem
-from mocap_calib.paper.five_point import (
+from mocap_calib.paper import (
     FIVE_POINT_LEAST_JOINTS,
     Estimator,
     FivePointConfig,

@@ -1,13 +1,268 @@
-"""The paper's solver of pairs of views and its baseline, as references for our own."""
+"""Reference solvers of pairs of views: the paper's, and its baseline without a network.
+
+The baseline is here: five-point RANSAC over matches of detections. `solver` has the paper's, which
+imports torch.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from mocap_calib.config import PairwiseConfig
+from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseConfig
+from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import GEOMETRY_ALONE, is_token
-from mocap_calib.pairs.solve import PairSolver
-from mocap_calib.paper.five_point import FivePointConfig, FivePointPairs
-from mocap_calib.types import Recording
+from mocap_calib.pairs.affinity import mutual_best
+from mocap_calib.pairs.solve import PairProblem, PairSolver, judge_pair, mean_focal
+from mocap_calib.results import PairwiseCalibration
+from mocap_calib.types import Bools, Floats, Ints, Recording
+
+
+@dataclass(frozen=True)
+class FivePointConfig:
+    """The baseline that calibrates a pair of views without lifted bodies."""
+
+    candidates: int = 60  # sets of matches that RANSAC draws
+    inlier_px: float = 6.0
+    least_fit: float = 0.6  # share of the joints of a right match that are inliers
+    ransac_iterations: int = 300
+
+
+FIVE_POINT_LEAST_JOINTS = 5  # determine an essential matrix
+
+
+RelativePose = tuple[Floats, Floats]  # R [3, 3] and t [3] of b_from_a
+
+
+class Found(NamedTuple):
+    """A relative pose b_from_a and who is who.
+
+    rotation: `[3, 3]`; translation: `[3]` of length 1.
+    matches: `[match, 3]` rows (frame, instance in a, instance in b).
+    """
+
+    rotation: Floats
+    translation: Floats
+    matches: Ints
+
+
+class Estimator(Protocol):
+    """What finds a relative pose among points of which some are wrong matches."""
+
+    def __call__(
+        self, rays_a: Floats, rays_b: Floats, threshold: float, *, trials: int
+    ) -> RelativePose | None:
+        """Return R and unit t of b_from_a that most of the rays `[N, 3]` agree on.
+
+        threshold: in radians. trials: draws of five points. None where no model is found.
+        """
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The rays of two views, and when a joint is an inlier (radians)."""
+
+    rays_a: Floats
+    rays_b: Floats
+    threshold: float
+    config: FivePointConfig
+    estimator: Estimator
+
+
+def estimate_by_loransac(
+    rays_a: Floats, rays_b: Floats, threshold: float, *, trials: int
+) -> RelativePose | None:
+    """Return the relative pose by COLMAP's LO-RANSAC of five points, as an `Estimator` does.
+
+    Chum, Matas and Kittler 2003: "Locally Optimized RANSAC"; the five points by Nister 2004. The
+    draws are the same in each call.
+    """
+    import pycolmap  # noqa: PLC0415 - takes 0.3 s, and other solvers of pairs do not need it
+
+    # of focal length 1, so that its pixels are radians
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=1, height=1, params=[1.0, 0.0, 0.0])
+    options = pycolmap.RANSACOptions(
+        max_error=threshold,
+        confidence=FIVE_POINT_CONFIDENCE,
+        min_num_trials=trials,
+        max_num_trials=trials,
+        random_seed=0,
+    )
+    points_a, points_b = (rays[:, :2] / rays[:, 2:] for rays in (rays_a, rays_b))
+    found = pycolmap.estimate_essential_matrix(points_a, points_b, camera, camera, options)
+    if found is None:
+        return None
+    b_from_a = found["cam2_from_cam1"]
+    translation = np.array(b_from_a.translation)
+    return b_from_a.rotation.matrix(), translation / np.linalg.norm(translation)
+
+
+def five_point_over_matches(
+    rays_a: Floats,
+    rays_b: Floats,
+    threshold: float,
+    rng: np.random.Generator,
+    *,
+    config: FivePointConfig | None = None,
+    estimator: Estimator = estimate_by_loransac,
+) -> Found | None:
+    """Run RANSAC over matches of detections, five-point (Nister 2004) on their joints.
+
+    The paper's baseline. A candidate is two matches of one frame, or one where a frame has but
+    one subject; the relative pose that explains most joints of the matches it implies is
+    estimated again from all of them.
+
+    rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
+    threshold: Sampson's angle in radians. Returns None where no model is found.
+    """
+    problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig(), estimator)
+    best, most = None, 0.0
+    for matched in _candidates(problem, rng):
+        pose = _estimate_pose(problem, matched)
+        if pose is None:
+            continue
+        inliers = _count_inliers(problem, pose)
+        if best is None or inliers > most:
+            best, most = pose, inliers
+    if best is None:
+        return None
+    again = _estimate_pose(problem, match_by_pose(rays_a, rays_b, best, threshold))
+    if again is not None and _count_inliers(problem, again) >= most:
+        best = again
+    matched = match_by_pose(rays_a, rays_b, best, threshold)
+    return Found(*best, matches=np.argwhere(matched).astype(np.int64))
+
+
+def _candidates(problem: _Problem, rng: np.random.Generator) -> Iterator[Bools]:
+    """Draw masks `[frame, I, J]` of one or two matches of one frame."""
+    present_a = np.isfinite(problem.rays_a[..., 0]).sum(-1) >= FIVE_POINT_LEAST_JOINTS
+    present_b = np.isfinite(problem.rays_b[..., 0]).sum(-1) >= FIVE_POINT_LEAST_JOINTS
+    possible = [
+        (frame, matches)
+        for frame in range(len(present_a))
+        for matches in _possible_matches(present_a[frame], present_b[frame])
+    ]
+    for k in rng.permutation(len(possible))[: problem.config.candidates]:
+        frame, matches = possible[k]
+        mask = np.zeros((*problem.rays_a.shape[:2], problem.rays_b.shape[1]), dtype=bool)
+        for i, j in matches:
+            mask[frame, i, j] = True
+        yield mask
+
+
+def _possible_matches(present_a: Bools, present_b: Bools) -> list[list[tuple[int, int]]]:
+    """Return all sets of two matches (i, j) of a frame, or of one where there are not two.
+
+    present: `[instance]` where there is a detection with enough joints.
+    """
+    single = [
+        (int(i), int(j)) for i, j in product(np.flatnonzero(present_a), np.flatnonzero(present_b))
+    ]
+    double = [
+        [first, second]
+        for first, second in product(single, single)
+        if first[0] < second[0] and first[1] != second[1]
+    ]
+    return double or [[match] for match in single]
+
+
+def _estimate_pose(problem: _Problem, matched: Bools) -> RelativePose | None:
+    """Return R and unit t from the joints of matches `[frame, I, J]`; None where there is none."""
+    rays_a, rays_b = _correspondences(problem, matched)
+    if len(rays_a) < FIVE_POINT_LEAST_JOINTS:
+        return None
+    trials = problem.config.ransac_iterations
+    return problem.estimator(rays_a, rays_b, problem.threshold, trials=trials)
+
+
+def _correspondences(problem: _Problem, matched: Bools) -> tuple[Floats, Floats]:
+    """Return rays `[N, 3]` of the joints of matches, in front of both image planes."""
+    frame, i, j = np.nonzero(matched)
+    rays_a = problem.rays_a[frame, i].reshape(-1, 3)
+    rays_b = problem.rays_b[frame, j].reshape(-1, 3)
+    forward_a = np.nan_to_num(rays_a[:, 2]) > LEAST_FORWARD
+    forward_b = np.nan_to_num(rays_b[:, 2]) > LEAST_FORWARD
+    both = forward_a & forward_b
+    return rays_a[both], rays_b[both]
+
+
+def match_by_pose(rays_a: Floats, rays_b: Floats, pose: RelativePose, threshold: float) -> Bools:
+    """Return where two detections of a frame are each other's best match, `[frame, I, J]`.
+
+    rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
+    threshold: Sampson's angle in radians, below which a joint agrees with the pose.
+    """
+    return mutual_best(_share(*_inliers(rays_a, rays_b, pose, threshold)))
+
+
+def _inliers(
+    rays_a: Floats, rays_b: Floats, pose: RelativePose, threshold: float
+) -> tuple[Ints, Ints]:
+    """Return how many joints of each possible match are inliers, and how many it has.
+
+    `[frame, I, J]` each.
+    """
+    rotation, translation = pose
+    shape = np.broadcast_shapes(rays_a[:, :, None].shape, rays_b[:, None].shape)
+    rays_a = np.broadcast_to(rays_a[:, :, None], shape).reshape(-1, 3)
+    rays_b = np.broadcast_to(rays_b[:, None], shape).reshape(-1, 3)
+    error = np.abs(sampson_angle(essential_matrix(rotation, translation), rays_a, rays_b))
+    depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
+    inlier = (error < threshold) & (depth_a > 0) & (depth_b > 0)
+    seen = np.isfinite(error)
+    return inlier.reshape(shape[:-1]).sum(-1), seen.reshape(shape[:-1]).sum(-1)
+
+
+def _share(inliers: Ints, seen: Ints) -> Floats:
+    """Return the share of inliers of each possible match, 0 where it has too few joints."""
+    return inliers / np.maximum(seen, 1) * (seen >= FIVE_POINT_LEAST_JOINTS)
+
+
+def _count_inliers(problem: _Problem, pose: RelativePose) -> float:
+    """Return how many joints of right matches are inliers."""
+    inliers, seen = _inliers(problem.rays_a, problem.rays_b, pose, problem.threshold)
+    share = _share(inliers, seen)
+    right = mutual_best(share) & (share >= problem.config.least_fit)
+    return float((inliers * right).sum())
+
+
+@dataclass(frozen=True)
+class FivePointPairs:
+    """A `solve.PairSolver`: RANSAC over matches of detections, five-point on their joints.
+
+    What it finds is scored as any other relative pose. focal: `[view]` pixels.
+    """
+
+    focal: Floats
+    pairwise: PairwiseConfig
+    config: FivePointConfig
+
+    def __call__(self, problem: PairProblem) -> PairwiseCalibration | None:
+        """Return the relative pose with most inliers, or None where nothing is matched."""
+        pair = problem.pair
+        if problem.shared_frames == 0:
+            return None
+        focal = mean_focal(problem, self.focal)
+        found = five_point_over_matches(
+            pair.a.rays_or_nan,
+            pair.b.rays_or_nan,
+            self.config.inlier_px / focal,
+            problem.rng,
+            config=self.config,
+        )
+        if found is None:
+            return None
+        return judge_pair(
+            problem,
+            rotation=found.rotation,
+            translation=found.translation,
+            matches=found.matches,
+            source="five-point",
+            config=self.pairwise,
+        )
 
 
 def choose_pair_solver(

@@ -18,8 +18,7 @@ from mocap_calib.geometry.rotation import (
 from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
 from mocap_calib.lift.lifter import ModelConfig
 from mocap_calib.lift.weights import load_lifter
-from mocap_calib.paper import solver
-from mocap_calib.paper.five_point import estimate_by_loransac, five_point_over_matches
+from mocap_calib.paper import estimate_by_loransac, five_point_over_matches, solver
 from mocap_calib.paper.losses import (
     TwoViews,
     geometric_loss,

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from mocap_calib.colours import COLOURS, NOBODY, colour_of, rgb
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.overlay.drawing import View, camera_lines, floor_lines, resize
@@ -15,6 +14,7 @@ from mocap_calib.overlay.make import make_overlays
 from mocap_calib.overlay.results import CameraResults, Results, read_results
 from mocap_calib.overlay.video import Video, _Pace
 from mocap_calib.types import Camera, CameraClock, Floats, World
+from mocap_calib.wording import COLOURS, UNASSIGNED, colour_of, rgb
 
 FRAMES = 12  # of the videos
 BARREL = (-0.25, 0.06, 0.002, -0.001, 0.0)
@@ -203,5 +203,5 @@ def test_a_grid_lies_on_the_floor_a_metre_apart(found):
 
 def test_colours_are_one_table():
     assert len(set(COLOURS)) == 7
-    assert colour_of(-1) == NOBODY
+    assert colour_of(-1) == UNASSIGNED
     assert (colour_of(7), rgb(colour_of(0))) == (COLOURS[0], (0, 114, 178))

@@ -9,14 +9,14 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.pairs.search import _known_identities
 from mocap_calib.pairs.solve import pair_mapper
-from mocap_calib.paper.five_point import (
+from mocap_calib.paper import (
     FivePointConfig,
     _count_inliers,
     _possible_matches,
     _Problem,
     estimate_by_loransac,
 )
-from mocap_calib.paper.five_point import _candidates as _five_point_candidates
+from mocap_calib.paper import _candidates as _five_point_candidates
 
 
 def pair_of(present_a: list[list[int]], present_b: list[list[int]]) -> SimpleNamespace:

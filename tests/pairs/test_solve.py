@@ -16,7 +16,7 @@ from mocap_calib.kernels.pair_refinement import LANES
 from mocap_calib.pairs.refine import refine_poses
 from mocap_calib.pairs.solve import calibrate_pair, calibrate_pairs, pair_problem
 from mocap_calib.pairs.view_pair import MatchedRays
-from mocap_calib.paper.five_point import FivePointConfig, FivePointPairs
+from mocap_calib.paper import FivePointConfig, FivePointPairs
 from mocap_calib.paper.solver import PaperConfig, PaperPairs
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.types import Recording, silent
