@@ -9,9 +9,7 @@ Where intrinsics are to be estimated, they are from a first rig of each group: a
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +42,7 @@ from mocap_calib.rig.loops import select_hypotheses
 from mocap_calib.rig.observed import Observed, leave_out_underconstrained
 from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.training.device import on_device
-from mocap_calib.types import CameraRig, Mapper, Progress, Recording, silent
+from mocap_calib.types import CameraRig, Ints, Mapper, Progress, Recording, silent
 from mocap_calib.verdict.verdict import conclude, judge
 from mocap_calib.world.place import place_result
 from mocap_calib.world.requested import check_world
@@ -87,111 +85,143 @@ def calibrate(
     intrinsics = choose_refinement(recording.cameras, config.intrinsics, refine)
     config = replace(config, intrinsics=intrinsics)
     recording, lifter = choose_model(recording, model)
-    lifter = on_device(lifter, device)
     progress = progress or silent
-    clock = Clock()
-    lift_sample = RememberedLift(lifter, progress)
-    observe = partial(
-        _observe,
-        lift_sample=lift_sample,
-        config=config,
-        clock=clock,
-        seed=seed,
-        progress=progress,
-        mapper=mapper,
-        pair_solver=pair_solver,
-    )
-    calibrate_once = partial(
-        _calibrate_recording,
-        observe=observe,
-        config=config,
-        clock=clock,
-        seed=seed,
-        progress=progress,
-    )
+    lift_sample = RememberedLift(on_device(lifter, device), progress)
+    calibrator = _Calibrator(config, lift_sample, seed, progress, mapper, pair_solver)
     with single_threaded_libraries():
-        said = clocks_of_rates(recording, dict(config.sync.rates))
-        recording = retime(recording, said)
-        observed = observe(recording)
-        with clock("synchronise"):
-            clocks = estimate_clocks(recording, lift_sample, observed.rotations, config, seed=seed)
+        stated = clocks_of_rates(recording, dict(config.sync.rates))
+        recording = retime(recording, stated)
+        observed = calibrator.observe(recording)
+        with calibrator.clock("synchronise"):
+            found = estimate_clocks(recording, lift_sample, observed.rotations, config, seed=seed)
         calibrated, clocks = calibrate_on_clocks(
-            recording, clocks, calibrate_once, config.sync, observed=observed
+            recording, found, calibrator, config.sync, observed=observed
         )
-        recording = retime(recording, clocks)
         last = Clock()
         with last("faults"):
-            result = mend_faults(recording, calibrated, calibrate_once)
+            result = mend_faults(retime(recording, clocks), calibrated, calibrator)
         with last("smooth"):
-            groups = (smooth_group(group, config, progress=progress) for group in result.groups)
-            result = replace(result, groups=tuple(groups))
-        result = _spent_too(result, last.seconds)
-    return place_result(judge(add_clocks(result, clocks.after(said))))
+            groups = [smooth_group(group, config, progress=progress) for group in result.groups]
+    groups = [replace(group, seconds={**group.seconds, **last.seconds}) for group in groups]
+    result = add_clocks(replace(result, groups=tuple(groups)), clocks.after(stated))
+    return place_result(judge(result))
 
 
-def _spent_too(result: CalibrationResult, seconds: Mapping[str, float]) -> CalibrationResult:
-    """Return the result with what was spent on all groups together, by stage."""
-    groups = (replace(group, seconds={**group.seconds, **seconds}) for group in result.groups)
-    return replace(result, groups=tuple(groups))
+@dataclass(frozen=True)
+class _Calibrator:
+    """Calibrates a recording, and what is made of it, each time in the same way.
 
+    The fields are as in `calibrate`. clock: wall time by stage of all that was calibrated so far.
+    """
 
-def _calibrate_recording(
-    recording: Recording,
-    observed: Observed | None = None,
-    *,
-    observe: Callable[[Recording], Observed],
-    config: Config,
-    clock: Clock,
-    seed: int,
-    progress: Progress,
-) -> tuple[Observed, CalibrationResult]:
-    """Calibrate all groups of cameras of a recording; it is observed here where it was not."""
-    observed = observed or observe(recording)
-    if config.intrinsics.refine != "none":
-        with clock("intrinsics"):
-            cameras = estimate_cameras(observed, config, progress=progress)
-        observed = observe(replace(recording, cameras=cameras))
-    groups = _calibrate_groups(observed, config, clock, progress=progress)
-    return observed, _join_groups(observed, groups, config=config, seed=seed)
+    config: Config
+    lift_sample: RememberedLift
+    seed: int
+    progress: Progress
+    mapper: Mapper | None
+    pair_solver: PairSolver | None
+    clock: Clock = field(default_factory=Clock)
 
+    def __call__(
+        self, recording: Recording, observed: Observed | None = None
+    ) -> tuple[Observed, CalibrationResult]:
+        """Calibrate all groups of cameras of a recording; it is observed here where it was not.
 
-def _observe(
-    recording: Recording,
-    *,
-    lift_sample: RememberedLift,
-    config: Config,
-    clock: Clock,
-    seed: int,
-    progress: Progress,
-    mapper: Mapper | None,
-    pair_solver: PairSolver | None,
-) -> Observed:
-    """Return what is known before a rig is built: sample -> lift -> pairs -> loops."""
-    recording = hide_blind_spots(recording)
-    with clock("sample"):
-        sample_frames = choose_sample_frames(recording, config.sample)
-        sample = take_sample(recording, sample_frames)
-    with clock("lift"):
-        lifted = lift_sample(sample)
-    with clock("pairwise"):
-        pairs = calibrate_view_graph(
-            sample,
-            lifted,
-            config,
-            rng=np.random.default_rng(seed),
+        Raises DegenerateError where no group can be calibrated.
+        """
+        observed = observed or self.observe(recording)
+        if self.config.intrinsics.refine != "none":
+            with self.clock("intrinsics"):
+                cameras = estimate_cameras(observed, self.config, progress=self.progress)
+            observed = self.observe(replace(recording, cameras=cameras))
+        groups: list[GroupResult] = []
+        refusals: list[DegenerateError] = []
+        averaging = self.config.averaging
+        for views in camera_groups(observed.recording.cameras, observed.pairs, averaging):
+            try:
+                group = leave_out_underconstrained(observed.select(views), self._calibrate_group)
+                groups.append(group)
+            except DegenerateError as error:
+                refusals.append(error)
+        if not groups:
+            raise refusals[0]
+        return observed, self._join(groups, observed)
+
+    def observe(self, recording: Recording) -> Observed:
+        """Return what is known before a rig is built: sample -> lift -> pairs -> loops."""
+        recording = hide_blind_spots(recording)
+        with self.clock("sample"):
+            sample_frames = choose_sample_frames(recording, self.config.sample)
+            sample = take_sample(recording, sample_frames)
+        with self.clock("lift"):
+            lifted = self.lift_sample(sample)
+        with self.clock("pairwise"):
+            pairs = calibrate_view_graph(
+                sample,
+                lifted,
+                self.config,
+                rng=np.random.default_rng(self.seed),
+                progress=self.progress,
+                mapper=self.mapper,
+                solve=self.pair_solver,
+            )
+        with self.clock("loops"):
+            pairs = select_hypotheses(pairs, self.config.averaging)
+        return Observed(recording, sample_frames, sample, lifted, pairs)
+
+    def _calibrate_group(self, observed: Observed) -> GroupResult:
+        """Calibrate cameras that see the same bodies: average -> ... -> triangulate."""
+        config, progress, clock = self.config, self.progress, self.clock.continued()
+        recording, sample, lifted = observed.recording, observed.sample, observed.lifted
+        with clock("average"):
+            averaged = average(recording.cameras, observed.pairs, config.averaging)
+        with clock("match"):
+            matches = associate(sample, lifted, averaged.rig, config, progress=progress)
+        with clock("adjust"):
+            adjusted = adjust_from_best_start(
+                sample, averaged.rig, matches, config, lifted=lifted, progress=progress
+            )
+        with clock("match all"):
+            matches = _match_all(
+                recording,
+                adjusted.rig,
+                adjusted.matches,
+                config,
+                sample_frames=observed.sample_frames,
+                progress=progress,
+            )
+        with clock("clocks"):
+            observed, adjusted, offsets = synchronise_detections(
+                observed, adjusted, matches, config
+            )
+        return conclude(
+            observed,
+            averaged,
+            adjusted,
+            matches,
+            offsets,
+            config=config,
+            clock=clock,
             progress=progress,
-            mapper=mapper,
-            solve=pair_solver,
         )
-    with clock("loops"):
-        pairs = select_hypotheses(pairs, config.averaging)
-    return Observed(
-        recording=recording,
-        sample_frames=sample_frames,
-        sample=sample,
-        lifted=lifted,
-        pairs=pairs,
-    )
+
+    def _join(self, groups: list[GroupResult], observed: Observed) -> CalibrationResult:
+        """Return the groups with the cameras and the pairs that are in none of them."""
+        names = observed.recording.names
+        group_of = {name: k for k, group in enumerate(groups) for name in group.rig.names}
+        ends = ((names[pair.a], names[pair.b], pair.score) for pair in observed.pairs)
+        return CalibrationResult(
+            groups=tuple(groups),
+            left_out=tuple(name for name in names if name not in group_of),
+            unused_pairs=tuple(
+                UnusedPair(a, b, score)
+                for a, b, score in ends
+                if a not in group_of or group_of[a] != group_of.get(b)
+            ),
+            config=self.config,
+            seed=self.seed,
+            clocks=Clocks.of_one(observed.recording),
+        )
 
 
 def match(
@@ -218,94 +248,23 @@ def match(
         sample_frames = choose_sample_frames(recording, config.sample)
         sample = take_sample(recording, sample_frames)
         lifted = lift(sample, lifter, progress=progress)
-        matches = label_all_frames(
-            recording,
-            rig,
-            config,
-            sample_frames=sample_frames,
-            matches=associate(sample, lifted, rig, config, progress=progress),
-            progress=progress,
+        matches = associate(sample, lifted, rig, config, progress=progress)
+        return _match_all(
+            recording, rig, matches, config, sample_frames=sample_frames, progress=progress
         )
-        return finalise_identities(recording, rig, matches, config)
 
 
-def _calibrate_groups(
-    observed: Observed, config: Config, clock: Clock, *, progress: Progress
-) -> list[GroupResult]:
-    """Calibrate the groups that can be calibrated, the largest first.
-
-    Raises DegenerateError where there is none.
-    """
-    groups: list[GroupResult] = []
-    refusals: list[DegenerateError] = []
-    for views in camera_groups(observed.recording.cameras, observed.pairs, config.averaging):
-        work = partial(_calibrate_cameras, config=config, clock=clock, progress=progress)
-        try:
-            groups.append(leave_out_underconstrained(observed.select(views), work))
-        except DegenerateError as error:
-            refusals.append(error)
-    if not groups:
-        raise refusals[0]
-    return groups
-
-
-def _calibrate_cameras(
-    observed: Observed, *, config: Config, clock: Clock, progress: Progress
-) -> GroupResult:
-    """Calibrate cameras that see the same bodies: average -> ... -> triangulate.
-
-    clock: what was spent before; it is not changed.
-    """
-    clock = clock.continued()
-    recording, sample, lifted = observed.recording, observed.sample, observed.lifted
-    with clock("average"):
-        averaged = average(recording.cameras, observed.pairs, config.averaging)
-    with clock("match"):
-        matches = associate(sample, lifted, averaged.rig, config, progress=progress)
-    with clock("adjust"):
-        adjusted = adjust_from_best_start(
-            sample, averaged.rig, matches, config, lifted=lifted, progress=progress
-        )
-    with clock("match all"):
-        matches = label_all_frames(
-            recording,
-            adjusted.rig,
-            config,
-            sample_frames=observed.sample_frames,
-            matches=adjusted.matches,
-            progress=progress,
-        )
-        matches = finalise_identities(recording, adjusted.rig, matches, config)
-    with clock("clocks"):
-        observed, adjusted, offsets = synchronise_detections(observed, adjusted, matches, config)
-    return conclude(
-        observed,
-        averaged,
-        adjusted,
-        matches,
-        offsets,
-        config=config,
-        clock=clock,
-        progress=progress,
+def _match_all(
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    config: Config,
+    *,
+    sample_frames: Ints,
+    progress: Progress,
+) -> Matches:
+    """Label all frames of a recording, given those of its sample, with the same individuals."""
+    labelled = label_all_frames(
+        recording, rig, config, sample_frames=sample_frames, matches=matches, progress=progress
     )
-
-
-def _join_groups(
-    observed: Observed, groups: list[GroupResult], *, config: Config, seed: int
-) -> CalibrationResult:
-    """Return the groups with the cameras and the pairs that are in none of them."""
-    names = observed.recording.names
-    group_of = {name: k for k, group in enumerate(groups) for name in group.rig.names}
-    unused = (
-        UnusedPair(names[pair.a], names[pair.b], pair.score)
-        for pair in observed.pairs
-        if names[pair.a] not in group_of or group_of[names[pair.a]] != group_of.get(names[pair.b])
-    )
-    return CalibrationResult(
-        groups=tuple(groups),
-        left_out=tuple(name for name in names if name not in group_of),
-        unused_pairs=tuple(unused),
-        config=config,
-        seed=seed,
-        clocks=Clocks.of_one(observed.recording),
-    )
+    return finalise_identities(recording, rig, labelled, config)

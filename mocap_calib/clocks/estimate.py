@@ -81,7 +81,7 @@ def compare_clocks(
         pairs = calibrate_view_graph(sample, lifted, config, rng=rng, progress=progress)
         rotations = {(pair.a, pair.b): pair.rotation for pair in pairs}
         found = find_clocks(recording, lifted, stretches, rotations, config.sync, seed=seed)
-    return Clocks.of_one(recording, found.cameras).after(said)
+    return Clocks.of_one(recording, found).after(said)
 
 
 def estimate_clocks(
@@ -91,26 +91,27 @@ def estimate_clocks(
     config: Config,
     *,
     seed: int,
-) -> Clocks:
-    """Return which frame each camera shows at each frame of a clock that is common to all.
+) -> tuple[CameraClock, ...]:
+    """Return the clock of each camera, all of the first kind where none can be compared.
 
     rotations: (a, b) -> b_from_a of pairs of views that are calibrated with the frame numbers as
         they are; none: all are searched for.
     """
+    unknown = tuple(map(CameraClock, recording.names))
     if config.sync.mode == "off":
-        return Clocks.of_one(recording)
+        return unknown
     stretches = choose_stretches(recording, config.sync)
     sample = take_sample(recording, stretches[stretches >= 0])
     try:
         lifted = lift_sample(sample)
     except MismatchError:  # the model knows too few of the joints: reported where they are needed
-        return Clocks.of_one(recording)
+        return unknown
     return find_clocks(recording, lifted, stretches, rotations, config.sync, seed=seed)
 
 
 def calibrate_on_clocks(
     recording: Recording,
-    clocks: Clocks,
+    cameras: tuple[CameraClock, ...],
     calibrate: Calibrate[T],
     config: SyncConfig,
     *,
@@ -118,23 +119,25 @@ def calibrate_on_clocks(
 ) -> tuple[tuple[T, CalibrationResult], Clocks]:
     """Return what is found of a recording on the clocks of its cameras, and these clocks.
 
-    clocks: by lifted bodies; they are refined by the rigs.
+    cameras: the clock of each by lifted bodies; they are refined by the rigs.
     calibrate: of a recording, and what was observed of it, None where it is to be observed.
     observed: of the recording as it is.
     """
     if config.mode == "check":
         calibrated = calibrate(recording, observed)
-        if not any(camera.differs for camera in clocks.cameras):
-            clocks = refine_clocks(recording, calibrated[1].groups, clocks, config)
-        return calibrated, Clocks.of_one(recording, clocks.cameras)
+        if not any(camera.differs for camera in cameras):
+            cameras = refine_clocks(calibrated[1].groups, cameras, config)
+        return calibrated, Clocks.of_one(recording, cameras)
+    clocks = clocks_from(recording, cameras)
     calibrated = calibrate(retime(recording, clocks), None if clocks.changed else observed)
     if config.mode == "off":
         return calibrated, clocks
     for _ in range(_ROUNDS):
-        refined = refine_clocks(recording, calibrated[1].groups, clocks, config)
-        if _show_same(refined, clocks):
-            return calibrated, refined
-        calibrated, clocks = calibrate(retime(recording, refined), None), refined
+        cameras = refine_clocks(calibrated[1].groups, clocks.cameras, config)
+        before, clocks = clocks, clocks_from(recording, cameras)
+        if _show_same(before, clocks):
+            break
+        calibrated = calibrate(retime(recording, clocks), None)
     return calibrated, clocks
 
 
@@ -152,8 +155,8 @@ def find_clocks(
     config: SyncConfig,
     *,
     seed: int,
-) -> Clocks:
-    """Return how the clocks of the cameras differ.
+) -> tuple[CameraClock, ...]:
+    """Return how the clock of each camera differs.
 
     lifted: the bodies of all frames of the stretches, one stretch after the other.
     stretches: `[stretch, frame]` indices of the frames, -1 = not in the recording.
@@ -164,7 +167,7 @@ def find_clocks(
     enough = [view.seen.any(-1).sum() >= LEAST_FRAMES for view in views]
     compared = [(a, b) for a, b in compared_pairs(len(views)) if enough[a] and enough[b]]
     if window < 1 or not compared:
-        return Clocks.of_one(recording)
+        return tuple(map(CameraClock, recording.names))
     numbers = StretchNumbers.of(recording, stretches)
     given = {pair: rotations[pair] for pair in compared if pair in rotations}
     as_numbered = _values(views, given)
@@ -174,7 +177,7 @@ def find_clocks(
             recording.names, numbers, find_timing(agreements), agreements, agreements
         )
         if all(camera.kind == "in step" for camera in cameras):
-            return Clocks.of_one(recording, cameras)
+            return cameras
     generators = np.random.default_rng(seed).spawn(len(compared))
     searched = map_in_threads(
         lambda job: search_rotation(views[job[0][0]], views[job[0][1]], 2 * window, job[1]),
@@ -188,7 +191,7 @@ def find_clocks(
             values, timing = near
     agreements = _agreements(values, values, len(views), window)
     in_step = _agreements(values | as_numbered, values, len(views), window)
-    return clocks_from(recording, _cameras(recording.names, numbers, timing, agreements, in_step))
+    return _cameras(recording.names, numbers, timing, agreements, in_step)
 
 
 Solution = tuple[dict[Pair, Singles], Timing]
@@ -226,13 +229,10 @@ def _along_maps(solution: Solution, pairs: Iterable[Pair]) -> Floats:
 
 
 def refine_clocks(
-    recording: Recording, groups: Sequence[GroupResult], clocks: Clocks, config: SyncConfig
-) -> Clocks:
-    """Return the clocks of the cameras of a recording, refined by its rigs.
-
-    groups: what was found of the recording on these clocks.
-    """
-    cameras = {camera.camera: camera for camera in clocks.cameras}
+    groups: Sequence[GroupResult], clocks: Sequence[CameraClock], config: SyncConfig
+) -> tuple[CameraClock, ...]:
+    """Return the clock of each camera, refined by the rigs that were found on these clocks."""
+    cameras = {camera.camera: camera for camera in clocks}
     for group in groups:
         stretches = choose_stretches(group.recording, config)
         numbers = StretchNumbers.of(group.recording, stretches)
@@ -246,7 +246,7 @@ def refine_clocks(
                 # one frame names no camera: the estimate of parts of a frame is finer
                 if before.differs or not found.differs or abs(found.offset) > numbers.step:
                     cameras[found.camera] = combine_clocks(before, found)
-    return clocks_from(recording, tuple(cameras.values()))
+    return tuple(cameras.values())
 
 
 def _values(views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats]) -> dict[Pair, Singles]:

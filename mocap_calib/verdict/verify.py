@@ -34,7 +34,7 @@ from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import AUTO, choose_model
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.recording.timeline import clocks_of_rates, retime
+from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
 from mocap_calib.results import (
     Adjusted,
     Clocks,
@@ -90,9 +90,9 @@ def verify(
         said = clocks_of_rates(recording, dict(config.sync.rates))
         recording = retime(recording, said)
         rotations = {(a, b): rig.relative(a, b)[0] for a, b in combinations(range(len(rig)), 2)}
-        clocks = estimate_clocks(recording, lift_sample, rotations, config, seed=seed)
-        if config.sync.mode == "check":
-            clocks = Clocks.of_one(recording, clocks.cameras)
+        cameras = estimate_clocks(recording, lift_sample, rotations, config, seed=seed)
+        applied = config.sync.mode != "check"
+        clocks = (clocks_from if applied else Clocks.of_one)(recording, cameras)
         recording = hide_blind_spots(retime(recording, clocks))
         sample = take_sample(recording, choose_sample_frames(recording, config.sample))
         lifted = lift_sample(sample)

@@ -51,7 +51,7 @@ def shift(made, bodies, offsets):
 
 def clocks_of(made, bodies, config=CONFIG):
     frames = np.arange(len(made.frames))[None]
-    return find_clocks(made, bodies, frames, {}, config, seed=0)
+    return clocks_from(made, find_clocks(made, bodies, frames, {}, config, seed=0))
 
 
 @pytest.mark.parametrize(
