@@ -81,33 +81,17 @@ def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     Frames with several times the usual number of detections are left out: they would set the size
     of all arrays, and most of their detections are false.
     """
-    uncrowded = _uncrowded_frames(recording, config)
-    candidates = evenly_spaced(uncrowded, config.candidates * config.frames)
-    candidate_recording = recording.select(frames=candidates)
-    budget = _frame_budget(candidate_recording, config)
+    detections = recording.detected.sum(-1)  # [view, frame]
+    most = detections.max(0)
+    usual = np.quantile(most, config.usual_share)
+    uncrowded = np.flatnonzero(most <= config.crowd * usual + config.crowd)
+    in_frame = max(detections[:, uncrowded].sum() / len(uncrowded), 1.0)
+    budget = int(np.clip(config.detections / in_frame, config.least_frames, config.frames))
     if len(uncrowded) <= budget:
         return uncrowded
-    taken = _choose_covering(_shown_features(candidate_recording, config), budget)
-    return candidates[taken]
-
-
-def _uncrowded_frames(recording: Recording, config: SampleConfig) -> Ints:
-    """Return the frames (indices) in which no view has several times the usual detections."""
-    detections = recording.detected.sum(-1).max(0)  # [frame] the most of any view
-    usual = np.quantile(detections, config.usual_share)
-    return np.flatnonzero(detections <= config.crowd * usual + config.crowd)
-
-
-def _frame_budget(recording: Recording, config: SampleConfig) -> int:
-    """Return how many frames together have the number of detections that calibration needs."""
-    wanted = _frames_with(recording, config.detections)
-    return int(np.clip(wanted, config.least_frames, config.frames))
-
-
-def _frames_with(recording: Recording, detections: int) -> float:
-    """Return in how many frames there are so many detections of all views, on average."""
-    in_frame = recording.detected.sum() / max(len(recording.frames), 1)
-    return float(detections / max(in_frame, 1.0))
+    candidates = evenly_spaced(uncrowded, config.candidates * config.frames)
+    shown = _shown_features(recording.select(frames=candidates), config)
+    return candidates[_choose_covering(shown, budget)]
 
 
 def _choose_covering(shown: Floats, count: int) -> Bools:
@@ -125,9 +109,6 @@ def _choose_covering(shown: Floats, count: int) -> Bools:
     return taken
 
 
-# --- what frames show
-
-
 def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
     """Return `[frame, feature]` 1 where a frame shows a feature, else 0.
 
@@ -135,31 +116,22 @@ def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
     detections.
     """
     detected = recording.detected
+    sees: Bools = np.asarray(detected.any(-1))  # [view, frame]
     features: list[Bools] = []
     for view, camera in enumerate(recording.cameras):
         frame, instance = np.nonzero(detected[view])
-        if len(frame):
-            poses = recording.positions[view, frame, instance].astype(np.float64)
-            shown = np.zeros((len(recording.frames), config.cells**2), dtype=bool)
-            shown[frame, _cells_of_poses(poses, np.array(camera.size), config.cells)] = True
-            features.append(shown)
-    sees: Bools = np.asarray(detected.any(-1))  # [view, frame]
-    for a, b in combinations(range(len(sees)), 2):
-        together: Bools = sees[a] & sees[b]
-        features.append(together[:, None])
-    return np.concatenate(features, axis=1).astype(np.float64)
-
-
-def _cells_of_poses(poses: Floats, size: Ints, cells: int) -> Ints:
-    """Return the cell `[N]` of a grid over the image in which the centroid of each pose is.
-
-    poses: `[N, keypoint, 2]` pixels of one view, NaN = missing. size: `[2]` of the image, 0 where
-    it is not known. cells: along each side.
-    """
-    centroid = np.nanmean(poses, axis=1)
-    largest = np.maximum(np.nanmax(poses, axis=(0, 1)), 1.0)
-    cell = (cells * centroid / np.where(size > 0, size, largest)).clip(0, cells - 1).astype(int)
-    return np.asarray(cell[:, 0] * cells + cell[:, 1])
+        if not len(frame):
+            continue
+        poses = recording.positions[view, frame, instance].astype(np.float64)
+        largest = np.maximum(np.nanmax(poses, axis=(0, 1)), 1.0)
+        size = np.where(np.array(camera.size) > 0, camera.size, largest)
+        cell = config.cells * np.nanmean(poses, axis=1) / size  # of the middle of each pose
+        column, row = cell.clip(0, config.cells - 1).astype(int).T
+        shown = np.zeros((len(recording.frames), config.cells, config.cells), dtype=bool)
+        shown[frame, column, row] = True
+        features.append(shown.reshape(len(shown), -1))
+    pairs = [(sees[a] & sees[b])[:, None] for a, b in combinations(range(len(sees)), 2)]
+    return np.concatenate([*features, *pairs], axis=1).astype(np.float64)
 
 
 # --- stretches of consecutive frames, in which clocks are compared
@@ -179,7 +151,8 @@ def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
     on_grid = first + position * step == frames
     length = int(position.max()) + 1
     some = recording.select(frames=np.arange(0, len(frames), max(1, len(frames) // 200)))
-    budget = int(min(_STRETCH_FRAMES, _frames_with(some, _STRETCH_DETECTIONS)))
+    in_frame = max(some.detected.sum() / len(some.frames), 1.0)
+    budget = int(min(_STRETCH_FRAMES, _STRETCH_DETECTIONS / in_frame))
     each = max(3 * config.window, 1)
     count = max(1, budget // each)
     if length <= max(budget, each):
