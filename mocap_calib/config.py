@@ -334,8 +334,7 @@ class PosesConfig:
         do not follow each other.
     held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
     steps: of Gauss-Newton, twice as many to fit points as to choose strengths, and to fit points
-        again without the detections that the first fit drops. inner_steps: of conjugate gradients
-        in each.
+        again without the detections that the first fit drops; and of conjugate gradients in each.
     ridge: inverse variance of a point before anything is known of it, which damps the steps.
     longest_gap: frames without any detection of a joint that are bridged.
     largest_sigma: of a point; what is less sure is missing.
@@ -353,7 +352,6 @@ class PosesConfig:
     held_out_frames: int = 200
     held_out_stretch: int = 50
     steps: int = 4
-    inner_steps: int = 3
     ridge: float = 1e-2
     longest_gap: int = 10
     largest_sigma: float = 0.15
@@ -886,13 +884,10 @@ class FilterConfig:
     polynomial: int = 3
 
 
-@dataclass(frozen=True)
-class ReadConfig:
-    """What the numbers in keypoint files are taken for."""
-
-    largest_share: float = 1.5  # positions no larger than this are shares of the image, not pixels
-    least_share: float = -0.25  # a share below this is on another scale, such as -1 to 1
-
+# Positions in files, in sizes of the image: no larger than the first they are shares of it, not
+# pixels, and larger ones are of another image; below the second they are on another scale
+LARGEST_SHARE = 1.5
+LEAST_SHARE = -0.25
 
 # When two files have the same detections (recording/views.py). In the shared recordings no
 # detection of one camera was within a pixel of another camera's in all its keypoints.
@@ -904,7 +899,6 @@ COPY_SHARE = 0.9  # of these, that must be in the other file at one shift
 # Files and cameras that make a recording (recording/synchronise.py)
 LEAST_JOINTS = 4  # that show how a body is turned
 CROWDED_SHARE = 0.2  # of images with several detections; where fewer have, those are false ones
-OTHER_RESOLUTION = 1.5  # detections this many image sizes from the corner are of other images
 # percentile that stands for the largest value, so that one wild point does not count
 TYPICAL_PERCENTILE = 99.0
 

@@ -16,11 +16,10 @@ import numpy as np
 from mocap_calib.config import PosesConfig
 from mocap_calib.kernels import pose_bands, pose_energy, pose_motion, pose_step
 from mocap_calib.kernels.pose_energy import LANES
-from mocap_calib.poses.track import Body, Detections
+from mocap_calib.poses.track import ROUNDS, Body, Detections
 from mocap_calib.types import Floats, Ints
 
 AROUND = 2  # frames of padding at each end: as far as accelerations reach
-SHARED_ROUNDS = 5  # of the geometric median of accelerations (Weiszfeld 1937)
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ def fit(
     packed = _pack(points, seen, body, strengths, config)
     found = packed.points
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
-    rounds = config.inner_steps if len(packed.edges) else 0
+    rounds = config.steps if len(packed.edges) else 0
     for step in range(steps):
         packed.share_accelerations(config)
         pose_energy.sum_terms(
@@ -155,7 +154,7 @@ class _Packed:
             known = self.joints * config.shared_acceleration
             part = known / (1 + known)
             pose_motion.share_accelerations(
-                self.points, self.steps, self.joints, SHARED_ROUNDS, part, self.expected
+                self.points, self.steps, self.joints, ROUNDS, part, self.expected
             )
 
     def factor_bands(self, gradient: Floats, prior_loss: float) -> None:

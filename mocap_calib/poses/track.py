@@ -25,7 +25,7 @@ _TRIANGULATED = POINT_SOURCES.index("triangulated")
 _ONE_VIEW = POINT_SOURCES.index("one view")
 _INTERPOLATED = POINT_SOURCES.index("interpolated")
 _MEDIAN_SQUARE = 0.455  # of normal errors of variance 1
-_ROUNDS = 10  # of reweighting
+ROUNDS = 5  # of reweighting: lengths of bones, and the median of accelerations
 _BLOCK = 1000  # frames that are fitted at once, besides margins of four longest gaps
 
 
@@ -224,7 +224,7 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Fl
     length -= np.minimum(noise / length, length / 2)
     usual = known_medians(noise)[:, None]
     middle, varies = known_medians(np.where(noise <= usual, length, np.nan)), np.zeros(len(seen))
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         square = (length - middle[:, None]) ** 2
         varies = np.maximum(known_medians(square / _MEDIAN_SQUARE - noise), 0.0)
         weight = np.where(known, 1 / (noise + varies[:, None] + square / 4), 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import OTHER_RESOLUTION, TYPICAL_PERCENTILE, ReadConfig
+from mocap_calib.config import LARGEST_SHARE, TYPICAL_PERCENTILE
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.joints import match_names, normalise_name
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
@@ -112,10 +112,9 @@ def check_pixels(view: Keypoints2D) -> None:
     highest = np.nanmax(view.positions, initial=0.0)
     lowest = np.nanmin(view.positions, initial=0.0)
     mapped.let_go()
-    limit = ReadConfig().largest_share
-    if 0 < max(highest, -lowest) <= limit:
+    if 0 < max(highest, -lowest) <= LARGEST_SHARE:
         raise MismatchError(
-            f"{view.source}: expected positions in pixels, found none above {limit}; "
+            f"{view.source}: expected positions in pixels, found none above {LARGEST_SHARE}; "
             "use --image-size WIDTHxHEIGHT if they are shares of the image"
         )
 
@@ -152,7 +151,7 @@ def _take_image_size(view: Keypoints2D, camera: Camera) -> Camera:
         some = mapped.some_frames(view.positions)
         x, y = (np.nanpercentile(some[..., axis], TYPICAL_PERCENTILE) for axis in range(2))
         width, height = camera.size
-        if x > OTHER_RESOLUTION * width or y > OTHER_RESOLUTION * height:
+        if x > LARGEST_SHARE * width or y > LARGEST_SHARE * height:
             found = f"detections at ({x:.0f}, {y:.0f})"
     elif view.image_size != camera.size:
         found = _size_text(view.image_size)

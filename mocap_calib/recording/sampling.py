@@ -150,8 +150,7 @@ def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
     position = np.round((frames - first) / step).astype(np.int64)
     on_grid = first + position * step == frames
     length = int(position.max()) + 1
-    some = recording.select(frames=np.arange(0, len(frames), max(1, len(frames) // 200)))
-    in_frame = max(some.detected.sum() / len(some.frames), 1.0)
+    in_frame = max(recording.detected.sum() / len(frames), 1.0)
     budget = int(min(_STRETCH_FRAMES, _STRETCH_DETECTIONS / in_frame))
     each = max(3 * config.window, 1)
     count = max(1, budget // each)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.fit import SHARED_ROUNDS, Strengths
-from mocap_calib.poses.track import Body, Detections, accelerations
+from mocap_calib.poses.fit import Strengths
+from mocap_calib.poses.track import ROUNDS, Body, Detections, accelerations
 
 ENTRIES = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # xx xy xz yy yz zz
 
@@ -40,7 +40,7 @@ def shared_accelerations(acceleration: np.ndarray, config: PosesConfig) -> np.nd
     A part of their geometric median, some steps from the mean towards it (Weiszfeld 1937).
     """
     joints, middle = len(acceleration), acceleration.mean(0)
-    for _ in range(SHARED_ROUNDS):
+    for _ in range(ROUNDS):
         weight = 1 / (np.linalg.norm(acceleration - middle, axis=-1) + 1e-100)
         middle = (acceleration * weight[..., None]).sum(0) / weight.sum(0)[:, None]
     known = joints * config.shared_acceleration

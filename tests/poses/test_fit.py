@@ -50,7 +50,7 @@ def track(joints: int, frames: int) -> tuple[np.ndarray, Detections, Body]:
 @pytest.mark.parametrize("strengths", STRENGTHS)
 def test_a_step_of_the_fit_solves_the_dense_normal_equations(joints, frames, strengths):
     points, seen, body = track(joints, frames)
-    config = replace(CONFIG, inner_steps=200)
+    config = replace(CONFIG, steps=200)
     found = fit.fit(points, seen, body, strengths, config, steps=1)
     wide = replace(strengths, loss=strengths.loss * config.first_loss)
     system, gradient = oracle.normal_equations(points, seen, body, wide, config)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.config import ReadConfig
+from mocap_calib.config import LARGEST_SHARE, LEAST_SHARE
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.keypoints.document import ReadOptions
@@ -63,7 +63,7 @@ def convert_to_pixels(view: Keypoints2D, size: tuple[int, int]) -> Keypoints2D:
     """
     if size == (0, 0):
         return view
-    if np.nanmax(np.abs(view.positions), initial=0.0) > ReadConfig().largest_share:
+    if np.nanmax(np.abs(view.positions), initial=0.0) > LARGEST_SHARE:
         return replace(view, image_size=size) if view.image_size == (0, 0) else view
     _check_shares(view, size)
     scale = np.array(size, dtype=view.positions.dtype)
@@ -80,7 +80,7 @@ def _check_shares(view: Keypoints2D, size: tuple[int, int]) -> None:
             f"found --image-size {given}; change it"
         )
     least = np.nanmin(view.positions, initial=0.0)
-    if least < ReadConfig().least_share:
+    if least < LEAST_SHARE:
         raise MismatchError(
             f"{view.source}: expected pixels, or shares of the image from 0 to 1, "
             f"found {least:.2f}; export pixels"

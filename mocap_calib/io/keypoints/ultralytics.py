@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mocap_calib.config import ReadConfig
+from mocap_calib.config import LARGEST_SHARE
 from mocap_calib.errors import FormatError
 from mocap_calib.io.file import (
     NO_SCORE,
@@ -156,7 +156,7 @@ def _points(row: Row, keypoints: int, width: int) -> Floats:
 def _check_shares(values: Floats, source: str) -> None:
     """Raise FormatError where `[..., 3]` values have positions that are no shares of the image."""
     largest = np.nanmax(np.abs(values[..., :2]), initial=0.0)
-    if largest > ReadConfig().largest_share:
+    if largest > LARGEST_SHARE:
         raise malformed(
             source,
             "positions from 0 to 1",
