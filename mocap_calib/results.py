@@ -559,14 +559,9 @@ class Poses3D(Record):
         check_factor("poses", factor)
         if factor == 1:
             return replace(self, unit=unit)
-        positions, raw = self._move(lambda points: factor * points)
-        return replace(
-            self,
-            positions=positions,
-            raw=raw,
-            covariance=self._in_blocks(
-                lambda block: (factor**2 * self.covariance[block]).astype(np.float32)
-            ),
+        return self._move(
+            lambda points: factor * points,
+            lambda covariance: factor**2 * covariance,
             unit=unit,
             world=self.world.scale(factor),
         )
@@ -579,15 +574,9 @@ class Poses3D(Record):
         # what becomes of a covariance of which one entry is 1, for each of the six
         entries = np.eye(6)[:, ((0, 1, 2), (1, 3, 4), (2, 4, 5))]
         turned = (rotation @ entries @ rotation.T)[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
-
-        positions, raw = self._move(lambda points: points @ rotation.T + shift)
-        return replace(
-            self,
-            positions=positions,
-            raw=raw,
-            covariance=self._in_blocks(
-                lambda block: (self.covariance[block] @ turned).astype(np.float32)
-            ),
+        return self._move(
+            lambda points: points @ rotation.T + shift,
+            lambda covariance: covariance @ turned,
             world=self.world.turn(rotation, shift),
         )
 
@@ -607,12 +596,19 @@ class Poses3D(Record):
         parts.setdefault("raw", parts["positions"])
         return replace(self, frames=self.frames[frames], **parts)
 
-    def _move(self, move: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
-        """Return the positions and the triangulated points after a move."""
-        positions = self._in_blocks(lambda block: move(self.positions[block]))
-        if self.raw is self.positions:
-            return positions, positions
-        return positions, self._in_blocks(lambda block: move(self.raw[block]))
+    def _move(
+        self,
+        points: Callable[[Floats], Floats],
+        covariance: Callable[[Reals], Reals],
+        **fields: Any,
+    ) -> "Poses3D":
+        """Return the poses after a move of all points and of their covariance."""
+        positions = self._in_blocks(lambda block: points(self.positions[block]))
+        raw = positions
+        if self.raw is not self.positions:
+            raw = self._in_blocks(lambda block: points(self.raw[block]))
+        moved = self._in_blocks(lambda block: covariance(self.covariance[block]).astype(np.float32))
+        return replace(self, positions=positions, raw=raw, covariance=moved, **fields)
 
     def _in_blocks(self, function: Callable[[slice], Any]) -> NDArray[Any]:
         """Return what a function makes of all frames, see `mapped.in_blocks`."""
