@@ -47,15 +47,12 @@ def fill_image_sizes(
     views: Sequence[Keypoints2D], cameras: Sequence[Camera]
 ) -> tuple[Keypoints2D, ...]:
     """Return the views, with the image sizes of the cameras of their names where they have none."""
-    return tuple(_fill_image_size(view, cameras) for view in views)
 
+    def size_of(view: Keypoints2D) -> tuple[int, int]:
+        sizes = (camera.size for camera in cameras if views_named([view], [camera]))
+        return next(sizes, (0, 0)) if view.image_size == (0, 0) else view.image_size
 
-def _fill_image_size(view: Keypoints2D, cameras: Sequence[Camera]) -> Keypoints2D:
-    """Return the view, with the image size of the camera of its name if it has none."""
-    if view.image_size != (0, 0):
-        return view
-    sizes = [camera.size for camera in cameras if views_named([view], [camera])]
-    return replace(view, image_size=sizes[0]) if sizes else view
+    return tuple(replace(view, image_size=size_of(view)) for view in views)
 
 
 def seen_points(view: Keypoints2D) -> Bools:
@@ -94,13 +91,9 @@ def _describe_camera(view: Keypoints2D, config: InspectConfig) -> dict[str, Any]
 def _describe_frames(frames: Ints) -> dict[str, Any]:
     """Return the count, the ends and the gaps of frame numbers `[frame]`."""
     first, last = (int(frames[0]), int(frames[-1])) if len(frames) else (None, None)
-    return {"count": len(frames), "first": first, "last": last, "gaps": _find_gaps(frames)}
-
-
-def _find_gaps(frames: Ints) -> list[list[int]]:
-    """Return the first and the last number of each run of numbers that `[frame]` skips."""
     before = np.flatnonzero(np.diff(frames) > 1)
-    return [[int(frames[k]) + 1, int(frames[k + 1]) - 1] for k in before]
+    gaps = [[int(frames[k]) + 1, int(frames[k + 1]) - 1] for k in before]
+    return {"count": len(frames), "first": first, "last": last, "gaps": gaps}
 
 
 def _describe_missing(missing: Mapping[str, int], points: int) -> dict[str, Any]:

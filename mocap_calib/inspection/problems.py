@@ -1,6 +1,6 @@
 """What stands in the way of a run, each with its remedy."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -62,12 +62,7 @@ def find_problems(
     ]
     if cameras and not any(finding.critical for finding in found):
         found += _find_camera_problems(views, cameras, skeleton, aliases)
-    return tuple(sorted(found, key=_is_minor))
-
-
-def _is_minor(finding: Finding) -> bool:
-    """Return whether a finding stands behind the critical ones."""
-    return not finding.critical
+    return tuple(sorted(found, key=lambda finding: not finding.critical))
 
 
 # --- views
@@ -133,14 +128,15 @@ def _find_other_scales(usable: Sequence[Keypoints2D], config: InspectConfig) -> 
     """Name the views whose positions are no pixels, or those of another image."""
     found = []
     for view in usable:
-        outside = _share_outside(view)
         try:
             check_pixels(view)
         except MismatchError as error:
             found.append(critical(str(error)))
             continue
-        if outside > config.outside:
-            width, height = view.image_size
+        width, height = view.image_size
+        points = np.abs(view.positions[seen_points(view)])
+        outside = float((points > (width, height)).any(-1).mean())
+        if width and outside > config.outside:
             found.append(
                 warning(
                     f"{view.camera}: {outside:.0%} of the points lie outside its image of "
@@ -150,47 +146,31 @@ def _find_other_scales(usable: Sequence[Keypoints2D], config: InspectConfig) -> 
     return found
 
 
-def _share_outside(view: Keypoints2D) -> float:
-    """Return the share of the points outside the image, 0 where its size is not known."""
-    if view.image_size == (0, 0):
-        return 0.0
-    points = np.abs(view.positions[seen_points(view)])
-    return float((points > np.array(view.image_size)).any(-1).mean())
-
-
-def _find_weaknesses(view: Keypoints2D, config: InspectConfig) -> list[Finding]:
-    """Say what makes the detections of a view worth less."""
+def _find_weaknesses(view: Keypoints2D, config: InspectConfig) -> Iterator[Finding]:
+    """Yield what makes the detections of a view worth less."""
     scores = view.confidence[seen_points(view)]
     if not len(scores):
-        return []
-    found = []
+        return
     twice = int(find_repeated(view.positions).sum())
     if twice:
-        found.append(
-            warning(
-                f"{view.camera}: {twice} of {seen_points(view).any(-1).sum()} detections repeat "
-                "another one of their frame, so they will be left out; "
-                "check whether the detector, or a conversion, wrote bodies twice"
-            )
+        yield warning(
+            f"{view.camera}: {twice} of {seen_points(view).any(-1).sum()} detections repeat "
+            "another one of their frame, so they will be left out; "
+            "check whether the detector, or a conversion, wrote bodies twice"
         )
     if np.median(scores) < config.low_confidence:
-        found.append(
-            warning(
-                f"{view.camera}: half of the scores are below {config.low_confidence}; "
-                "check the detector's output"
-            )
+        yield warning(
+            f"{view.camera}: half of the scores are below {config.low_confidence}; "
+            "check the detector's output"
         )
     if scores.max() > 1.0:
-        found.append(warning(_describe_large_scores(view, float(scores.max()))))
+        yield warning(_describe_large_scores(view, float(scores.max())))
     skipped = int((np.diff(view.frames) - 1).sum())
     if skipped > config.gaps * (skipped + len(view.frames)):
-        found.append(
-            warning(
-                f"{view.camera}: missing between the first frame and the last: "
-                f"{count(skipped, 'frame number')}; check that no frames were lost"
-            )
+        yield warning(
+            f"{view.camera}: missing between the first frame and the last: "
+            f"{count(skipped, 'frame number')}; check that no frames were lost"
         )
-    return found
 
 
 def _describe_large_scores(view: Keypoints2D, largest: float) -> str:
