@@ -201,11 +201,11 @@ def test_without_cameras_their_intrinsics_are_a_guess_that_is_estimated(files, m
     assert read.cameras[0].focal == 1536
     asked = []
 
-    def stop(_, *, config, **others):  # noqa: ARG001
+    def stop(sample, lifted, config, **others):  # noqa: ARG001
         asked.append(config.intrinsics.refine)
         raise mocap_calib.DegenerateError
 
-    monkeypatch.setattr(pipeline, "_observe", stop)
+    monkeypatch.setattr(pipeline, "calibrate_view_graph", stop)
     given = mocap_calib.read_recording(files / "keypoints", files / "rig.toml")
     for recording, refine in ((read, None), (read, "focal"), (given, None), (given, "focal")):
         with pytest.raises(mocap_calib.DegenerateError):
