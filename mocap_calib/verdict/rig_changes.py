@@ -7,24 +7,23 @@ one after the other until the rest agree: a camera was moved where the rest agre
 without it that chance does not explain it (Fisher's ratio of variances).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import null_space
 from scipy.special import chdtrc, fdtrc
 
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.alignment import gauge_of, rig_size
 from mocap_calib.geometry.rotation import angle_between, vector_from_matrix
 from mocap_calib.results import Cause, RigCovariance, Verdict, Verification, VerifiedCamera
-from mocap_calib.types import Bools, CameraRig, Floats, Ints
+from mocap_calib.types import Bools, CameraRig, Floats
 from mocap_calib.verdict.checks import OPEN_DEG
 from mocap_calib.verdict.evaluation import lay_over
 from mocap_calib.verdict.verdict import expected_error
 
-_POSE = 6  # numbers of the pose of a camera
-_GAUGE = 7  # of them, in a whole rig, that a similarity takes away
 _CALIBRATE = "calibrate anew: `mocap-calib run`"
 _RECORD = "record longer, with subjects that move through the room"
 
@@ -34,22 +33,20 @@ class RigChange:
     """How a rig that was adjusted anew differs from the calibration that was given.
 
     moved: `[view]` cameras that are elsewhere than the others have them.
-    turn: `[view]` radians and shift: `[view]` rig sizes by which a camera is elsewhere, if it
-        and the moved ones alone may; turn_sigma and shift_sigma: their RMS errors. NaN = unknown.
+    size, sigma: `[view, 2]` turn (radians) and shift (rig sizes) by which a camera is elsewhere, if
+        it and the moved ones alone may, and their RMS errors. Shifts are NaN where a single other
+        camera is left: two are aligned at any distance.
     difference: `[view]` radians between the rotations of both rigs, those of the cameras that
         stayed being aligned. It has all that the keypoints leave open.
     disagreement: variance that the cameras in place differ by, in those of their errors.
     refitted: the rig that was adjusted, in the coordinates and the unit of the given one.
 
-    Of two cameras it is not known which one moved: `moved` has both or none, and either has the
-    turn of one against the other.
+    Of two cameras it is not known which one moved: `moved` has both or none.
     """
 
     moved: Bools
-    turn: Floats
-    shift: Floats
-    turn_sigma: Floats
-    shift_sigma: Floats
+    size: Floats
+    sigma: Floats
     difference: Floats
     disagreement: float
     refitted: CameraRig
@@ -65,118 +62,111 @@ def find_changes(
 
     covariances: of the adjusted rig, as of `cautious_covariances`.
     """
-    rigs = _Rigs.of(given, adjusted, covariances, config)
-    views = np.arange(len(given))
+    rigs = _Rigs(given, adjusted, _covariance(adjusted, covariances, config))
+    views = range(len(given))
     moved = _find_moved(rigs, config)
-    refitted = lay_over(adjusted, given, rigs.others(moved))
-    difference = np.asarray(angle_between(given.rotation, refitted.rotation))
-    if np.rad2deg(difference[rigs.others(moved)].max()) > VERDICT_LIMITS_DEG[2]:
+    refitted = lay_over(adjusted, given, np.setdiff1d(views, moved))
+    difference = angle_between(given.rotation, refitted.rotation)
+    if np.rad2deg(np.delete(difference, moved).max()) > VERDICT_LIMITS_DEG[2]:
         moved, refitted = [], lay_over(adjusted, given, views)  # another rig: no camera of it moved
-        difference = np.asarray(angle_between(given.rotation, refitted.rotation))
-    cost, freedom = rigs.disagreement(moved)
-    is_moved = np.isin(views, moved)
-    poses = np.array([rigs.change_of(view, {*moved, view}) for view in views.tolist()])
-    turn, shift, turn_sigma, shift_sigma = poses.T
+        difference = angle_between(given.rotation, refitted.rotation)
+    rest, is_moved = rigs.moves(moved), np.isin(views, moved)
     if len(given) == 2:
-        pair = float(angle_between(given.relative(0, 1)[0], adjusted.relative(0, 1)[0]))
-        certain = chdtrc(freedom, cost / config.verify.pair_disagreement)
-        large = np.rad2deg(pair) > VERDICT_LIMITS_DEG[0]
-        is_moved[:] = certain < config.verify.significance and large
-        turn[:], turn_sigma[:] = pair, covariances[0].pair_rotation_sigma[0, 1]
-        shift[:], shift_sigma[:] = np.nan, np.nan
-        difference[:] = pair
+        difference = np.full(2, angle_between(given.relative(0, 1)[0], adjusted.relative(0, 1)[0]))
+        chance = chdtrc(rest.degrees, rest.cost / config.verify.pair_disagreement)
+        large = np.rad2deg(difference) > VERDICT_LIMITS_DEG[0]
+        is_moved = large & (chance < config.verify.significance)
+    alone = [rigs.moves([*(each for each in moved if each != view), view]) for view in views]
     return RigChange(
         moved=is_moved,
-        turn=turn,
-        shift=shift,
-        turn_sigma=turn_sigma,
-        shift_sigma=shift_sigma,
+        size=np.array([each.size[-1] for each in alone]),
+        sigma=np.array([each.sigma[-1] for each in alone]),
         difference=difference,
-        disagreement=cost / freedom,
+        disagreement=rest.cost / rest.degrees,
         refitted=refitted,
     )
 
 
+def _covariance(
+    rig: CameraRig, covariances: tuple[RigCovariance, RigCovariance], config: Config
+) -> Floats:
+    """Return the covariance `[6 view, 6 view]` of what a rig differs by from the given one.
+
+    It has the shape of that of independent errors, which says best what the images show, and the
+    size of the one that errors really have. covariances: as of `cautious_covariances`.
+    """
+    size = 6 * len(rig)
+    basis = null_space(gauge_of(rig).reshape(size, -1).T)
+    real, independent = (each.matrix.reshape(size, size) for each in covariances)
+    inside = [basis.T @ each @ basis for each in (independent, real)]
+    excess = np.trace(np.linalg.solve(*inside)) / basis.shape[1]
+    floor = np.deg2rad(config.verify.least_error_deg) ** 2 * np.eye(size)
+    return np.asarray(max(1.0, excess) * independent + floor)
+
+
+@dataclass(frozen=True)
+class _Moves:
+    """How some cameras moved between two rigs, as the others have them.
+
+    cost: squared Mahalanobis distance of the others, and degrees: its degrees of freedom.
+    size, sigma: `[camera, 2]` as of `RigChange`. chance: `[camera]` how likely one that was not
+    moved would differ as much, by Fisher's ratio of variances.
+    """
+
+    cost: float
+    degrees: int
+    size: Floats
+    sigma: Floats
+    chance: Floats
+
+
 @dataclass(frozen=True)
 class _Rigs:
-    """Two rigs of the same cameras, and the covariance of what they differ by.
-
-    covariance: `[view, 6, view, 6]`, as that of `RigCovariance`.
-    """
+    """Two rigs of the same cameras, and the covariance `[6 view, 6 view]` of their difference."""
 
     given: CameraRig
     adjusted: CameraRig
     covariance: Floats
 
-    @classmethod
-    def of(
-        cls,
-        given: CameraRig,
-        adjusted: CameraRig,
-        covariances: tuple[RigCovariance, RigCovariance],
-        config: Config,
-    ) -> "_Rigs":
-        """Return two rigs with the covariance of their difference.
+    def moves(self, free: Sequence[int]) -> _Moves:
+        """Return how some views (indices) moved, by generalised least squares.
 
-        It has the shape of that of independent errors, which says best what the images show, and
-        the size of the one that errors really have.
+        Where a single other is left, the last one shows as well how the rigs lie to each other.
         """
-        size = _POSE * len(given)
-        gauge = gauge_of(adjusted).reshape(size, _GAUGE)
-        basis = np.linalg.svd(gauge, full_matrices=True)[0][:, _GAUGE:]
-        real, independent = (each.matrix.reshape(size, size) for each in covariances)
-        inside = [basis.T @ each @ basis for each in (independent, real)]
-        excess = np.trace(np.linalg.solve(*inside)) / basis.shape[1]
-        floor = np.deg2rad(config.verify.least_error_deg) ** 2 * np.eye(size)
-        whole = max(1.0, excess) * independent + floor
-        return cls(given, adjusted, whole.reshape(len(given), _POSE, len(given), _POSE))
+        rest = np.setdiff1d(range(len(self.given)), free)
+        known = rest if len(rest) > 1 else np.append(rest, free[-1])
+        difference = _change(self.adjusted, lay_over(self.given, self.adjusted, known))
+        size = len(difference)
+        own = np.eye(size).reshape(size, -1, 6)[:, list(free)].reshape(size, -1)
+        gauge = gauge_of(self.adjusted).reshape(size, -1)
+        whiten = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        design = whiten @ np.concatenate([own, gauge], axis=1)
+        inverse = np.linalg.pinv(design)
+        found = inverse @ whiten @ difference
+        cost = float(np.square(whiten @ difference - design @ found).sum())
+        degrees = size - design.shape[1]
+        # the errors hold also where the others disagree by more than they should
+        excess = max(1.0, cost / max(degrees, 1))
+        move, by_camera = found[: own.shape[1]].reshape(-1, 6), inverse[: own.shape[1]]
+        by_camera = by_camera.reshape(-1, 6, size)
+        covariance = excess * by_camera @ by_camera.swapaxes(1, 2)
+        ratio = np.einsum("ci,cij,cj->c", move, np.linalg.pinv(covariance, hermitian=True), move)
+        variance = np.einsum("cii->ci", covariance)
+        unknown = [1.0, np.nan if len(rest) < 2 else 1.0]
+        return _Moves(
+            cost=cost,
+            degrees=degrees,
+            size=np.linalg.norm(move.reshape(-1, 2, 3), axis=2) * unknown,
+            sigma=np.sqrt(variance.reshape(-1, 2, 3).sum(2)) * unknown,
+            chance=np.asarray(fdtrc(6, degrees, ratio / 6)),
+        )
 
-    def others(self, free: Iterable[int]) -> Ints:
-        """Return the views (indices) that are not free."""
-        return np.setdiff1d(np.arange(len(self.given)), np.array(list(free), dtype=np.int64))
 
-    def _difference(self, rest: Ints) -> Floats:
-        """Return what the rigs differ by `[view, 6]`, aligned by the views of the rest."""
-        aligned = lay_over(self.given, self.adjusted, rest)
-        turn = vector_from_matrix(np.swapaxes(self.adjusted.rotation, 1, 2) @ aligned.rotation)
-        shift = (aligned.centres - self.adjusted.centres) / rig_size(self.adjusted)
-        return np.concatenate([turn, shift], axis=1)
-
-    def disagreement(self, free: Iterable[int]) -> tuple[float, int]:
-        """Return the squared Mahalanobis distance of the views that are not free, and its freedom.
-
-        In the changes of their poses that no similarity makes.
-        """
-        rest = self.others(free)
-        size = _POSE * len(rest)
-        gauge = gauge_of(self.adjusted)[rest].reshape(size, _GAUGE)
-        basis = np.linalg.svd(gauge, full_matrices=True)[0][:, _GAUGE:]
-        left = basis.T @ self._difference(rest)[rest].ravel()
-        covariance = self.covariance[rest][:, :, rest].reshape(size, size)
-        cost = left @ np.linalg.solve(basis.T @ covariance @ basis, left)
-        return float(cost), size - _GAUGE
-
-    def change_of(self, view: int, free: set[int]) -> tuple[float, float, float, float]:
-        """Return turn (radians) and shift (rig sizes) of a free view, and the errors of both.
-
-        As the others have them; the errors hold also where these disagree by more than they should.
-        NaN for shifts where a single camera is left: two are aligned at any distance.
-        """
-        rest = self.others(free)
-        if len(rest) < 2:
-            rest = self.others([])
-        cost, freedom = self.disagreement(np.setdiff1d(np.arange(len(self.given)), rest).tolist())
-        gauge = gauge_of(self.adjusted)
-        solved = np.linalg.pinv(gauge[rest].reshape(-1, _GAUGE)).reshape(_GAUGE, len(rest), _POSE)
-        own = np.eye(len(self.given))[view]  # the view, less the similarity that aligns the rest
-        slope = np.einsum("v,ij->ivj", own, np.eye(_POSE))
-        slope[:, rest] -= np.einsum("ig,gvj->ivj", gauge[view], solved)
-        variance = np.einsum("ivj,vjwk,iwk->i", slope, self.covariance, slope)
-        variance *= max(1.0, cost / freedom) if freedom > 0 else 1.0
-        change = self._difference(rest)[view]
-        sigma = np.sqrt([variance[:3].sum(), variance[3:].sum()])
-        turn, shift = (float(np.linalg.norm(part)) for part in (change[:3], change[3:]))
-        return turn, shift, float(sigma[0]), float(sigma[1])
+def _change(before: CameraRig, after: CameraRig) -> Floats:
+    """Return the turns and shifts `[6 view]` of cameras between rigs in the same coordinates."""
+    turn = vector_from_matrix(np.swapaxes(before.rotation, 1, 2) @ after.rotation)
+    shift = (after.centres - before.centres) / rig_size(before)
+    return np.concatenate([turn, shift], axis=1).ravel()
 
 
 def _find_moved(rigs: _Rigs, config: Config) -> list[int]:
@@ -187,29 +177,17 @@ def _find_moved(rigs: _Rigs, config: Config) -> list[int]:
     back until all are certain.
     """
     views, free = len(rigs.given), list[int]()
-    least = np.deg2rad(config.verify.least_turn_deg)
     while len(free) < min((views - 1) // 2, views - 2):
-        rest = rigs.others(free).tolist()
-        costs = [rigs.disagreement([*free, view])[0] for view in rest]
-        free.append(rest[int(np.argmin(costs))])
+        rest = np.setdiff1d(range(views), free).tolist()
+        free.append(min(rest, key=lambda view: rigs.moves([*free, view]).cost))
     while free:
-        order = [
-            (max(rigs.change_of(each, set(free))[:2]) < least, _chance(rigs, each, free))
-            for each in free
-        ]
-        worst = max(range(len(free)), key=order.__getitem__)
-        small, chance = order[worst]
-        if not small and chance * views < config.verify.significance:
+        found = rigs.moves(free)
+        small = found.size.max(1) < np.deg2rad(config.verify.least_turn_deg)
+        chance = np.where(small, 1.0, found.chance)
+        if chance.max() * views < config.verify.significance:
             break
-        del free[worst]
+        del free[int(chance.argmax())]
     return free
-
-
-def _chance(rigs: _Rigs, view: int, free: list[int]) -> float:
-    """Return how likely a view that was not moved would explain as much."""
-    cost, freedom = rigs.disagreement(free)
-    explained = rigs.disagreement([each for each in free if each != view])[0] - cost
-    return float(fdtrc(_POSE, freedom, max(explained, 0.0) / _POSE / max(1.0, cost / freedom)))
 
 
 # --- verdict and words

@@ -49,7 +49,17 @@ from mocap_calib.rig.observed import PlacedCameras
 from mocap_calib.rig.tracks import matched_share
 from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.training.device import on_device
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Progress, Recording, Sample, silent
+from mocap_calib.types import (
+    Bools,
+    Camera,
+    CameraRig,
+    Floats,
+    Ints,
+    Progress,
+    Recording,
+    Sample,
+    silent,
+)
 from mocap_calib.verdict.rig_changes import (
     RigChange,
     assess_calibration,
@@ -109,7 +119,8 @@ def verify_rig(
     progress: Progress,
 ) -> Verification:
     """Return how far a rig agrees with a sample of a recording. Raises as `verify` does."""
-    views, adjusted = _adjust_from(sample, lifted, rig, config, progress=progress)
+    enough = _have_detections(sample, config)
+    views, adjusted = _adjust_from(sample, lifted, rig, enough, config, progress=progress)
     part, given = sample.select(views=views), rig.select(views)
     fitted = fit_again(part, adjusted.rig, adjusted.matches, config)
     change = find_changes(given, adjusted.rig, cautious_covariances(fitted, config), config)
@@ -122,11 +133,8 @@ def verify_rig(
     known = sum(camera.word != "not checked" for camera in checked.values()) >= 2
     cameras = tuple(
         checked.get(name)
-        or VerifiedCamera(
-            name,
-            "inconsistent" if known and _has_detections(sample, view, config) else "not checked",
-        )
-        for view, name in enumerate(rig.names)
+        or VerifiedCamera(name, "inconsistent" if known and seen else "not checked")
+        for name, seen in zip(rig.names, enough.tolist(), strict=True)
     )
     verdict = assess_calibration(cameras, change, covariance, given.names, config)
     errors = [camera.refitted_px for camera in checked.values() if camera.refitted_px < np.inf]
@@ -137,11 +145,13 @@ def verify_rig(
         rotation_sigma_deg=_by_name(given, np.rad2deg(covariance.rotation_sigma)),
         centre_sigma_percent=_by_name(given, 100 * covariance.centre_sigma),
     )
+    for view, camera, pose in zip(views.tolist(), mended.cameras, _poses(mended), strict=True):
+        rig = _with_camera(rig, view, camera, pose)
     return Verification(
         cameras=cameras,
         verdict=verdict.word,
         reasons=(*explain_cameras(cameras), *verdict.reasons),
-        rig=_put_back(rig, views, mended),
+        rig=rig,
         clocks=Clocks.of_one(sample),
         provenance=said,
     )
@@ -155,16 +165,31 @@ def _by_name(rig: CameraRig, values: Floats) -> dict[str, float]:
 # --- the rig as the keypoints have it
 
 
+def _have_detections(sample: Sample, config: Config) -> Bools:
+    """Return the views `[view]` with enough detections, in frames of two others, to be placed."""
+    sees = sample.detected.any(2)
+    with_others = sample.detected.sum(2) * (sees.sum(0) - sees >= 2)
+    return np.asarray(with_others.sum(1) >= config.moved.least_detections)
+
+
 def _adjust_from(
-    sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config, *, progress: Progress
+    sample: Sample,
+    lifted: LiftedPoses,
+    rig: CameraRig,
+    enough: Bools,
+    config: Config,
+    *,
+    progress: Progress,
 ) -> tuple[Ints, Adjusted]:
     """Return the rig adjusted to the sample from the given one, and its views (indices).
 
-    Cameras that match nothing are searched for first. Raises as `verify` does.
+    Cameras that match nothing are searched for first. Raises as `verify` does: where not two
+    cameras are left, and most of those with enough detections (`[view]`), it is another calibration
+    and no camera of it is to blame.
     """
     matches = associate(sample, lifted, rig, config, progress=progress)
     start, kept = _find_lost_cameras(sample, rig, matches, config)
-    while _are_most(kept, sample, config):
+    while len(kept) > max(1, np.delete(enough, kept).sum()):
         part, bodies, known = sample.select(views=kept), lifted.select(kept), start.select(kept)
         try:
             matches = associate(part, bodies, known, config, progress=progress)
@@ -179,23 +204,6 @@ def _adjust_from(
         "expected a calibration most of whose cameras agree on somebody, found another; "
         "check that the keypoints belong to it, or calibrate anew: `mocap-calib run`"
     )
-
-
-def _are_most(kept: Ints, sample: Sample, config: Config) -> bool:
-    """Return whether some views (indices) are two, and most of those with detections.
-
-    Otherwise it is another calibration, and no camera of it is to blame.
-    """
-    lost = np.setdiff1d(np.arange(len(sample.cameras)), kept).tolist()
-    contradicting = sum(_has_detections(sample, view, config) for view in lost)
-    return len(kept) >= 2 and len(kept) > contradicting
-
-
-def _has_detections(sample: Sample, view: int, config: Config) -> bool:
-    """Return whether a view has enough detections, in frames of two others, to be placed."""
-    detected = sample.detected
-    others = np.delete(detected, view, axis=0).any(2).sum(0) >= 2
-    return bool(detected[view, others].sum() >= config.moved.least_detections)
 
 
 def _find_lost_cameras(
@@ -277,12 +285,9 @@ def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: CameraPose) ->
     return replace(rig, cameras=cameras, rotation=rotation, translation=translation)
 
 
-def _put_back(rig: CameraRig, views: Ints, mended: CameraRig) -> CameraRig:
-    """Return the rig with some of its cameras (indices) as another rig has them."""
-    for place, view in enumerate(views.tolist()):
-        pose = CameraPose(mended.rotation[place], mended.translation[place])
-        rig = _with_camera(rig, view, mended.cameras[place], pose)
-    return rig
+def _poses(rig: CameraRig) -> list[CameraPose]:
+    """Return the pose of each camera."""
+    return [CameraPose(*pose) for pose in zip(rig.rotation, rig.translation, strict=True)]
 
 
 # --- records
@@ -302,20 +307,23 @@ def _compare(
     for view, name in enumerate(given.names):
         others = views[views != view] if len(views) > 2 else views
         known = place_points(sample, replace(placed, rig=mended), others, config)
-        turn, shift = float(change.turn[view]), float(change.shift[view]) * size
+        (turn, shift), (turn_sigma, shift_sigma) = (
+            each[view].tolist() for each in (change.size, change.sigma)
+        )
+        shift *= size
         if change.moved[view] and (~change.moved).sum() >= 2:
             pose = CameraPose(mended.rotation[view], mended.translation[view])
             turn, shift = _move_of(pose, given, view)
         moved: PlaceWord = "focal" if focal[view] else "moved"
-        told = np.rad2deg(change.turn_sigma[view]) < VERDICT_LIMITS_DEG[2]
+        told = np.rad2deg(turn_sigma) < VERDICT_LIMITS_DEG[2]
         stays: PlaceWord = "in place" if told else "not checked"
         yield VerifiedCamera(
             name=name,
             word=moved if change.moved[view] else stays,
             turn=turn,
-            turn_sigma=float(change.turn_sigma[view]),
+            turn_sigma=turn_sigma,
             shift=shift,
-            shift_sigma=float(change.shift_sigma[view]) * size,
+            shift_sigma=shift_sigma * size,
             relative_shift=shift / size,
             focal_change=float(focal[view]),
             error_px=typical_error(known, given, view, config),
