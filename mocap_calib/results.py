@@ -388,8 +388,6 @@ class Uncertainty(Record):
     """How well the detections determine a rig.
 
     covariance: of where the cameras stand; what wrong intrinsics may do is part of it.
-    held_out: median error of the points of a fifth of the recording in a rig made without it, in
-        their errors in the rig of all; of the worst fifth, NaN where there are too few moments.
     intrinsics_turn: `[view]` radians that a camera may be turned by because of its intrinsics: of
         given focal lengths, what the rig changes by when they are free; of estimated ones their
         uncertainty; and that of a principal point taken to be in the middle of the image.
@@ -402,7 +400,6 @@ class Uncertainty(Record):
     """
 
     covariance: RigCovariance
-    held_out: float
     intrinsics_turn: Floats
     outlier_cameras: Bools
     weak_perspective: Bools

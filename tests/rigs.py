@@ -88,7 +88,6 @@ def uncertainty(
     matrix[-1, 0, -1, 0] = np.deg2rad(degrees) ** 2
     return Uncertainty(
         covariance=RigCovariance(matrix=matrix, size=1.0),
-        held_out=np.nan,
         intrinsics_turn=np.zeros(views),
         outlier_cameras=np.isin(np.arange(views), outliers),
         weak_perspective=np.zeros(views, dtype=bool),

@@ -18,7 +18,7 @@ from scipy.special import chdtri, fdtri
 from mocap_calib.adjust.covariance import Covariance, find_covariance
 from mocap_calib.adjust.problem import Problem, choose_problem, free_poses, solve
 from mocap_calib.adjust.residuals import State
-from mocap_calib.adjust.solve import optimise_points, residual_lengths
+from mocap_calib.adjust.solve import optimise_points
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError
@@ -89,28 +89,28 @@ def _at_a_camera(problem: Problem, state: State, least: float) -> Bools:
 
 def rig_covariance(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config
-) -> tuple[RigCovariance, float]:
-    """Return the covariance of an adjusted rig, and the ratio of held-out to in-sample errors.
+) -> RigCovariance:
+    """Return the covariance of an adjusted rig.
 
     Intrinsics count as known. Everything is as uncertain as can be where the matched detections do
-    not constrain the rig. The ratio is NaN where there are too few frames.
+    not constrain the rig.
     """
     try:
         fitted = fit_again(sample, rig, matches, config)
     except DegenerateError:
-        return RigCovariance.unknown(len(rig.cameras), rig_size(rig)), np.nan
+        return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
     return covariance_of(fitted, config)
 
 
-def covariance_of(fitted: FittedRig, config: Config) -> tuple[RigCovariance, float]:
-    """Return the covariance of a rig, and the held-out ratio; see `rig_covariance`."""
+def covariance_of(fitted: FittedRig, config: Config) -> RigCovariance:
+    """Return the covariance of a rig; see `rig_covariance`."""
     rig, found = fitted.rig, first_order(fitted, config)
     time, joints = (_of_poses(part, rig) for part in (found.by_time, found.by_joint))
     of_time, of_joints = _turn_variance(time), _turn_variance(joints)
-    parts = leave_out_parts(fitted, config)
     # Rigs without a part differ by `bend` times the first-order prediction; the covariance grows by
     # bend^4: what parts of the errors do beyond first order, all of them together do once more.
-    bend, usual = np.sqrt(parts.variance / max(of_time, 1e-30)), config.uncertainty.usual_bend
+    usual = config.uncertainty.usual_bend
+    bend = np.sqrt(variance_of_parts(fitted, config) / max(of_time, 1e-30))
     frames = len(np.unique(fitted.problem.tracks.frame))
     if frames == 1:  # it has no parts
         bend = usual
@@ -125,7 +125,7 @@ def covariance_of(fitted: FittedRig, config: Config) -> tuple[RigCovariance, flo
         known = np.isfinite(bend) and covariance.rotation_sigma.max() < np.pi
         if not (known and np.isfinite(covariance.centre_sigma).all()):
             covariance = RigCovariance.unknown(len(rig), rig_size(rig))
-    return covariance, parts.held_out
+    return covariance
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:
@@ -203,35 +203,22 @@ def _of_poses(matrix: Floats, rig: CameraRig) -> RigCovariance:
 # --- rigs of parts of the recording
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """Rigs that are each made without a fifth of the recording.
+def variance_of_parts(fitted: FittedRig, config: Config) -> float:
+    """Return the variance of all turns (square radians) by rigs without a fifth of the recording.
 
-    variance: of all turns together, in square radians, by the jackknife; 0 of a single frame.
-    held_out: largest ratio, over the fifths, of the median error in the rig made without it to that
-        in the rig of all; NaN of few frames, where each would weigh too much.
+    By the jackknife; 0 of a single frame.
     """
-
-    variance: float
-    held_out: float
-
-
-def leave_out_parts(fitted: FittedRig, config: Config) -> LeftOut:
-    """Return rigs that are each made without a fifth of the recording."""
     tracks = fitted.problem.tracks
     frames = len(np.unique(tracks.frame))
     if frames == 1:
-        return LeftOut(variance=0.0, held_out=np.nan)
+        return 0.0
     part = tracks.time_blocks(min(config.uncertainty.parts, frames))
 
-    def without(number: int) -> tuple[Floats, float]:
-        """Return the turns of the cameras without a part, and the ratio of its errors."""
-        state = fitted.without(np.flatnonzero(part != number), config)
-        return fitted.change(state), _error_ratio(state, np.flatnonzero(part == number), fitted)
+    def without(number: int) -> Floats:
+        """Return the turns of the cameras without a part."""
+        return fitted.change(fitted.without(np.flatnonzero(part != number), config))
 
-    turns, errors = zip(*map_in_threads(without, range(int(part.max()) + 1)), strict=True)
-    few = frames < config.uncertainty.time_blocks
-    return LeftOut(jackknife(np.stack(turns)), held_out=np.nan if few else max(errors))
+    return jackknife(np.stack([*map_in_threads(without, range(int(part.max()) + 1))]))
 
 
 def jackknife(turns: Floats) -> float:
@@ -241,16 +228,3 @@ def jackknife(turns: Floats) -> float:
     """
     count = len(turns)
     return (count - 1) / count * float(((turns - turns.mean(0)) ** 2).sum())
-
-
-def _error_ratio(state: State, left_out: Ints, fitted: FittedRig) -> float:
-    """Return the median error of points (indices) in a rig made without them.
-
-    In their median error in the rig of all. The points are optimised in both.
-    """
-    problem = fitted.problem.select(left_out)
-    seen, own = problem.rays, fitted.state.with_points(fitted.state.points[:, left_out])
-    moved = optimise_points(state.with_points(own.points), seen, loss_scale=problem.loss_scale)
-    counted = problem.tracks.used
-    found, usual = (np.median(residual_lengths(each, seen)[counted]) for each in (moved, own))
-    return float(found / max(usual, 1e-30))

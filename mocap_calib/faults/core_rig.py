@@ -101,7 +101,7 @@ def _build_core(observed: Observed, config: Config) -> CoreRig:
 
 def core_covariance(core: CoreRig, config: Config) -> RigCovariance:
     """Return how sure the places of these cameras are."""
-    return rig_covariance(core.sample, core.rig, core.placed.matches, config)[0]
+    return rig_covariance(core.sample, core.rig, core.placed.matches, config)
 
 
 def is_determined(covariance: RigCovariance, config: Config, *, unknowns: bool) -> bool:

@@ -16,14 +16,13 @@ import numpy as np
 from mocap_calib.compute.medians import known_medians
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.epipolar import plane_errors
-from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.lens import unproject_views
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Check, GroupResult
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.tracks import labelled_frames, matched_share
 from mocap_calib.types import Floats
-from mocap_calib.verdict.explained import Leftover, focal_lengths, report_frames
+from mocap_calib.verdict.explained import Leftover, focal_lengths
 
 # of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras
 # with estimated intrinsics are off by 2 to 5 deg in five of eight recordings, by 21 to 40 in three
@@ -68,15 +67,6 @@ def few_frames(look: Look) -> float:
     return OPEN_DEG / max(len(labelled_frames(look.group.matches)), 1)
 
 
-def held_out(look: Look) -> float:
-    """Return by how much held-out errors exceed those in sample, in the worst fifth of all frames.
-
-    Errors of the frames in a rig that was made without them, whose variances add.
-    """
-    ratio = look.group.uncertainty.held_out
-    return float(np.sqrt(max(ratio**2 - 1, 0.0)) * np.nanmedian(look.error)) if ratio else np.nan
-
-
 def flatness(look: Look) -> float:
     """Return the error of a rig whose points may all lie in one plane.
 
@@ -99,20 +89,6 @@ def flatness(look: Look) -> float:
     return OPEN_DEG * min(1.0, float(np.median(found)) ** 2) if found else np.nan
 
 
-def weakest_bridge(look: Look) -> float:
-    """Return the error of a rig whose parts agree less than their cameras do, as of two recordings.
-
-    Of the best pairs that connect all cameras: the share that the worst score lacks of the median
-    of the others. NaN where there are fewer than three cameras.
-    """
-    views = len(look.group.rig.cameras)
-    cost = np.full((views, views), np.inf)
-    for pair in look.group.pairs:
-        cost[pair.a, pair.b] = 1 / max(pair.score, 1e-6)
-    used = np.sort(np.minimum(cost, cost.T)[tuple(spanning_tree(cost).T)])
-    return OPEN_DEG * float(1 - np.median(used[:-1]) / used[-1]) ** 2 if len(used) >= 2 else np.nan
-
-
 # Of each camera
 
 
@@ -120,19 +96,6 @@ def lack_of_score(look: Look) -> Floats:
     """Return the error `[view]` of cameras whose best pair lacks a share of a score not weak."""
     score = best_scores(look.group.pairs, len(look.group.rig.cameras))
     return OPEN_DEG * np.clip(1 - score / look.config.averaging.weak_score, 0.0, 1.0)
-
-
-def clocks(look: Look) -> Floats:
-    """Return by how much `[view]` subjects move while a clock is off that was not corrected.
-
-    Less five standard deviations, as these are small where there are few frames.
-    """
-    offsets, frames = look.group.time_offsets, report_frames(look.group.recording)
-    certain = np.maximum(np.abs(offsets.tau) - 5 * offsets.sigma, 0.0)
-    left = np.where(offsets.used, 0.0, certain)
-    moves = np.linalg.norm(np.diff(look.left.pixels, axis=2), axis=1)  # [view, frame, ...]
-    speed = moves / np.diff(frames)[:, None, None] / focal_lengths(look.group)
-    return left * np.rad2deg(_medians(speed))
 
 
 def lenses(look: Look) -> Floats:
@@ -253,15 +216,6 @@ CHECKS = (
         few_frames,
     ),
     CheckKind(
-        "held-out frames",
-        "by how much errors of a fifth of the recording are larger in a rig made without it; of "
-        "the worst fifth",
-        "errors are {value:.1f} deg larger in a fifth of the recording that the rig was made "
-        "without",
-        "check that the cameras were not moved, and record longer",
-        held_out,
-    ),
-    CheckKind(
         "flat",
         "5 times the share of the variance that would be left if all points lay in one plane, as "
         "several rigs fit these",
@@ -270,28 +224,12 @@ CHECKS = (
         flatness,
     ),
     CheckKind(
-        "bridge",
-        "of the best pairs that connect all cameras: 5 times the square of the share that the "
-        "worst score lacks of the median of the others",
-        "two groups of cameras agree less with each other than within themselves",
-        "check that all files are of one recording; or let the subject cross where both groups "
-        "look",
-        weakest_bridge,
-    ),
-    CheckKind(
         "pair score",
         "5 times the share that the best pair of a camera lacks of a score of 0.62: agreement of "
         "lifted bodies",
         "{camera}: its bodies do not look like those of any other camera",
         "check that its file belongs to this recording",
         lack_of_score,
-    ),
-    CheckKind(
-        "clock",
-        "by how much subjects move while a clock is certainly off that was not corrected",
-        "{camera}: its clock seems to be off, while subjects move by {value:.1f} deg",
-        "trigger the cameras together, or record at a higher rate",
-        clocks,
     ),
     CheckKind(
         "lens",

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import null_space
 from scipy.special import chdtrc, fdtrc
 
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
@@ -96,10 +95,8 @@ def _covariance(
     size of the one that errors really have. covariances: as of `cautious_covariances`.
     """
     size = 6 * len(rig)
-    basis = null_space(gauge_of(rig).reshape(size, -1).T)
     real, independent = (each.matrix.reshape(size, size) for each in covariances)
-    inside = [basis.T @ each @ basis for each in (independent, real)]
-    excess = np.trace(np.linalg.solve(*inside)) / basis.shape[1]
+    excess = np.trace(real) / np.trace(independent)
     floor = np.deg2rad(config.verify.least_error_deg) ** 2 * np.eye(size)
     return np.asarray(max(1.0, excess) * independent + floor)
 

@@ -43,7 +43,7 @@ def assess_uncertainty(
 
     Few frames accuse no camera: standard deviations over time are too small then.
     """
-    (fit, (covariance, held_out)), free = do_both(
+    (fit, covariance), free = do_both(
         lambda: (
             measure_fit(sample, rig, matches, config),
             rig_covariance(sample, rig, matches, config),
@@ -57,7 +57,6 @@ def assess_uncertainty(
     tells = len(labelled_frames(matches)) >= config.uncertainty.time_blocks
     return Uncertainty(
         covariance=covariance.with_changes(off),
-        held_out=held_out,
         intrinsics_turn=_turn_of(off),
         outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & tells,
         weak_perspective=find_weak_perspective(fit),

@@ -124,7 +124,7 @@ def verify_rig(
     part, given = sample.select(views=views), rig.select(views)
     fitted = fit_again(part, adjusted.rig, adjusted.matches, config)
     change = find_changes(given, adjusted.rig, cautious_covariances(fitted, config), config)
-    covariance, _ = covariance_of(fitted, config)
+    covariance = covariance_of(fitted, config)
     placed = PlacedCameras.of(part, adjusted.rig, adjusted.matches, config)
     placed = replace(placed, rig=given)
     mended = _refit(part, placed, change, config)

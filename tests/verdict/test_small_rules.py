@@ -21,7 +21,6 @@ from mocap_calib.results import Matches
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.tracks import matched_share
 from mocap_calib.types import Camera, EstimatedCamera
-from mocap_calib.verdict.checks import clocks
 from mocap_calib.verdict.verdict import _left_open
 
 
@@ -135,27 +134,6 @@ def test_the_first_of_the_rigs_that_fit_best_is_taken(monkeypatch, misfits, take
         refine, "measure_fit", lambda _, __, misfit, ___: SimpleNamespace(misfit=misfit)
     )
     assert refine._best_fit(None, rigs, Config()) is rigs[taken]
-
-
-def test_a_clock_that_was_not_corrected_counts_where_it_is_certainly_off():
-    """By 50 sigma and corrected, by 50 and not, by half of one, and not known.
-
-    All cameras see a point that moves by 10 pixels a frame, of a focal length of 1000.
-    """
-    offsets = SimpleNamespace(
-        tau=np.array([0.5, -0.5, 0.5, np.nan]),
-        sigma=np.array([0.01, 0.01, 1.0, np.nan]),
-        used=np.array([True, False, False, False]),
-    )
-    pixels = np.zeros((4, 2, 8, 1, 1))
-    pixels[:, 0, :, 0, 0] = 10.0 * np.arange(8)
-    group = SimpleNamespace(
-        time_offsets=offsets,
-        recording=SimpleNamespace(frames=np.arange(8)),
-        rig=SimpleNamespace(cameras=4 * [SimpleNamespace(focal=1000.0)]),
-    )
-    found = clocks(SimpleNamespace(group=group, left=SimpleNamespace(pixels=pixels)))
-    np.testing.assert_allclose(found, np.rad2deg([0.0, 0.0045, 0.0, np.nan]))
 
 
 def test_offsets_of_clocks_are_used_that_are_certain_large_and_all_in_reach():

@@ -74,23 +74,10 @@ def test_the_covariance_is_what_rigs_of_many_draws_of_the_noise_scatter_by():
         sample = take_sample(noisy, slice(None))
         rig = adjust(sample, scene(**SMALL).rig, matches, config)
         rigs.append(rig_change(scene(**SMALL).rig, rig)[:, :3])
-        found, _ = rig_covariance(sample, rig, matches, config)
+        found = rig_covariance(sample, rig, matches, config)
         sigmas.append(found.rotation_sigma)
     scatter = np.sqrt((np.array(rigs) ** 2).sum(2).mean(0))  # of each camera
     assert 0.6 < np.sqrt((scatter**2).mean() / np.square(sigmas).mean()) < 1.5
-
-
-def test_a_part_that_contradicts_the_others_has_larger_errors_in_a_rig_without_it():
-    """All that one camera sees lies 6 px farther right in the last fifth: 1.02 and 1.12."""
-    config, matches, rig = Config(), truth(**SMALL), scene(**SMALL).rig
-    whole = recording(**SMALL)
-    pixels, last = whole.positions.copy(), 4 * len(whole.frames) // 5
-    pixels[0, last:, ..., 0] += 6
-    for seen, least, most in ((whole, 0.97, 1.05), (replace(whole, positions=pixels), 1.1, 1.3)):
-        sample = take_sample(seen, slice(None))
-        adjusted = adjust(sample, rig, matches, config)
-        _, found = rig_covariance(sample, adjusted, matches, config)
-        assert least < found < most
 
 
 def test_the_sigma_of_a_pair_follows_from_that_of_its_cameras():
@@ -115,8 +102,7 @@ def test_what_does_not_constrain_the_rig_leaves_all_open(monkeypatch):
         raise DegenerateError("nothing")
 
     monkeypatch.setattr(stage, "choose_problem", refuse)
-    found, held_out = rig_covariance(None, scene().rig, None, Config())
-    assert np.isnan(held_out)
+    found = rig_covariance(None, scene().rig, None, Config())
     assert np.rad2deg(found.rotation_sigma) == pytest.approx(180)
 
 
@@ -128,10 +114,10 @@ def test_a_statue_determines_the_rig_worse_than_people_who_move():
     """
     found, config = calibrated(), Config()
     sample = take_sample(found.recording, slice(None))
-    moving = rig_covariance(sample, found.rig, found.matches, config)[0].rotation_sigma
+    moving = rig_covariance(sample, found.rig, found.matches, config).rotation_sigma
     still, matches = statue(found)
     rig = adjust(still, found.rig, matches, config)
-    standing = rig_covariance(still, rig, matches, config)[0].rotation_sigma
+    standing = rig_covariance(still, rig, matches, config).rotation_sigma
     assert np.rad2deg(moving.max()) < 1
     assert standing.max() > 5 * moving.max()
     error = rotation_errors_deg(rig, scene().rig)
