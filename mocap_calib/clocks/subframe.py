@@ -1,4 +1,4 @@
-"""Estimate by what part of a frame the clocks of cameras differ, together with the rig.
+"""Estimate by what part of a frame the clocks of cameras differ, and resample to the first one's.
 
 Where a subject moves, a camera whose clock is off sees it where it was or will be. Predicted is
 the motion of points in 3D; images are never interpolated, because the mean of two detections has
@@ -6,6 +6,9 @@ less noise than one, and the offset that has the least noise would look best.
 
 The motion follows from the neighbours of each point. It stays as it is while poses, points and
 offsets are adjusted, and follows anew from the adjusted points.
+
+A detection is resampled along the motion of its triangulated point, which is taken to be straight:
+single points show more noise than acceleration.
 """
 
 from dataclasses import dataclass, replace
@@ -17,24 +20,29 @@ from mocap_calib.adjust.motion import Motion, motion_between, smoothness
 from mocap_calib.adjust.problem import Problem, free_clocks, problem_of_frames
 from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
 from mocap_calib.adjust.solve import minimise, optimise_points
-from mocap_calib.clocks.resample import resample
-from mocap_calib.config import Config
+from mocap_calib.config import Config, TriangulateConfig
+from mocap_calib.geometry import lens
+from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.recording.sampling import evenly_spaced, take_sample, usual_step
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.results import Adjusted, Matches, TimeOffsets
+from mocap_calib.results import Adjusted, Matches, Poses3D, TimeOffsets
 from mocap_calib.rig.observed import Observed
 from mocap_calib.rig.tracks import Tracks, labelled_frames, per_frame_labels
+from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
-_FIRST_POINTS, _POINTS = 4000, 12_000  # that a first look and an estimate take
+_POINTS = 12_000  # that an estimate takes
+_BLOCK = 1000  # frames whose detections are moved at a time
 _STRETCH = 10  # frames that follow each other, of which the points come
 _COUNTED_FRAMES = 200  # that show how many points a frame has
 _LEAST_POINTS = 100  # that move and that a view sees, for its clock to be determined
 # 1 = points move without jerks, 0 = as frames of different times would have them. Recordings of
 # moving subjects have 0.6 to 0.96, samples of single frames 0.15 to 0.26
 _LEAST_SMOOTHNESS = 0.5
-_PRIOR = 2.0  # frames, standard deviation of an offset
-_LEAST_OFFSET, _MOST_OFFSET = 0.1, 1.2  # frames; motion is known from a frame before to one after
+_ROUNDS, _TOLERANCE = 7, 1e-4  # of adjusting with the motion of the round before
+# frames; motion is known from a frame before to one after: the largest is as well the standard
+# deviation of offsets beforehand
+_LEAST_OFFSET, _MOST_OFFSET = 0.1, 1.2
 # standard deviations of an offset that is applied; synchronous recordings reach 3.6, recordings
 # of which cameras take every second frame 6 to 60
 _SIGNIFICANT = 5.0
@@ -44,14 +52,13 @@ _SIGNIFICANT = 5.0
 class _Tracks:
     """Points of frames that follow each other, and what was seen of some of them.
 
-    frames: `[frame]` indices into the recording. points: all M of these frames.
+    points: all M of these frames.
     own: `[N]` indices of the points that are known `step` frames before and after, too.
     before, after: `[N]` indices of these neighbours. seen: of the points `own`.
     leader: `[M]` index of the point of `own` that a point moves with when the rig changes; its own
         index where there is none beside it.
     """
 
-    frames: Ints
     points: Problem
     own: Ints
     before: Ints
@@ -73,18 +80,6 @@ class _Tracks:
         moved = np.zeros_like(positions)
         moved[:, self.own] = own - positions[:, self.own]
         return positions + moved[:, self.leader]
-
-
-@dataclass(frozen=True)
-class _Estimate:
-    """Offsets of clocks, in frames, and the rig that goes with them.
-
-    tau, sigma: `[view]`, 0 where an offset is not free.
-    """
-
-    rig: CameraRig
-    tau: Floats
-    sigma: Floats
 
 
 def synchronise_detections(
@@ -111,47 +106,38 @@ def find_time_offsets(
     """Return by what part of a frame clocks differ, and the rig that is adjusted with that.
 
     rig, matches: adjusted and labelled as if the clocks agreed. The rig stays as it is where no
-    offset is applied. The cost of a first look does not depend on the length of the recording.
+    offset is applied. The cost does not depend on the length of the recording.
     """
-    tracks = _find_tracks(recording, rig, matches, config, budget=_FIRST_POINTS)
+    tracks = _find_tracks(recording, rig, matches, config)
     free = _determined_views(tracks)
     if not config.sync.subframe or not free.any():
         return TimeOffsets.unknown(len(rig.cameras)), rig
-    found = _estimate(tracks, rig, free, config, first_look=True)
-    likely = _are_significant(found, 0.6 * _SIGNIFICANT, 0.5 * _LEAST_OFFSET)
-    used = np.zeros(len(free), dtype=bool)
-    if likely.any():
-        tracks = _find_tracks(recording, rig, matches, config, budget=_POINTS)
-        # the clocks of the others agree with the first one
-        alone = _estimate(tracks, rig, likely, config)
-        used = _are_significant(alone, _SIGNIFICANT, _LEAST_OFFSET)
-        tau, sigma = (
-            np.where(likely, *each) for each in ((alone.tau, found.tau), (alone.sigma, found.sigma))
-        )
-        found = replace(alone if used.any() else found, tau=tau, sigma=sigma)
+    adjusted, tau, sigma = _estimate(tracks, rig, free, config)
+    used = _are_significant(tau, sigma)
+    if used.any():  # the clocks of the others agree with the first one
+        adjusted, *again = _estimate(tracks, rig, used, config)
+        tau, sigma = (np.where(used, *each) for each in zip(again, (tau, sigma), strict=True))
     known = free | (np.arange(len(free)) == 0)
-    tau, sigma = (np.where(known, each, np.nan) for each in (found.tau, found.sigma))
-    return TimeOffsets(tau, sigma, used), found.rig if used.any() else rig
+    tau, sigma = (np.where(known, each, np.nan) for each in (tau, sigma))
+    return TimeOffsets(tau, sigma, used), adjusted if used.any() else rig
 
 
-def _are_significant(found: _Estimate, significance: float, least: float) -> Bools:
-    """Return `[view]` which offsets are so many standard deviations, and so many frames.
+def _are_significant(tau: Floats, sigma: Floats) -> Bools:
+    """Return `[view]` which offsets are certain and large enough to be applied.
 
     None is where one is too large for the motion that is known of points.
     """
-    size = np.abs(found.tau)
+    size = np.abs(tau)
     in_reach = size.max() <= _MOST_OFFSET
-    return (size > significance * found.sigma) & (size > least) & in_reach
+    return (size > _SIGNIFICANT * sigma) & (size > _LEAST_OFFSET) & in_reach
 
 
 # Which points
 
 
-def _find_tracks(
-    recording: Recording, rig: CameraRig, matches: Matches, config: Config, *, budget: int
-) -> _Tracks:
-    """Return about `budget` points of stretches of the recording, with their neighbours."""
-    frames = _choose_stretches(matches, len(recording.keypoints), budget, _STRETCH)
+def _find_tracks(recording: Recording, rig: CameraRig, matches: Matches, config: Config) -> _Tracks:
+    """Return some points of stretches of the recording, with their neighbours."""
+    frames = _choose_stretches(matches, len(recording.keypoints), _POINTS, _STRETCH)
     points = problem_of_frames(recording, rig, matches, frames, config)
     step = usual_step(recording.frames)
     before, after = _find_neighbours(points.tracks, recording.frames, step)
@@ -161,7 +147,6 @@ def _find_tracks(
     for neighbour in (before, after):
         leader = np.where(~between & (neighbour >= 0) & between[neighbour], neighbour, leader)
     return _Tracks(
-        frames=frames,
         points=points,
         own=own,
         before=before[own],
@@ -219,17 +204,17 @@ def _determined_views(tracks: _Tracks) -> Bools:
 
 
 def _estimate(
-    tracks: _Tracks, rig: CameraRig, free: Bools, config: Config, *, first_look: bool = False
-) -> _Estimate:
-    """Adjust poses, points and the offsets of some clocks (free: `[view]`) in rounds.
+    tracks: _Tracks, rig: CameraRig, free: Bools, config: Config
+) -> tuple[CameraRig, Floats, Floats]:
+    """Return the rig adjusted with the offsets of some clocks (free: `[view]`), and these.
 
-    Each round starts from the motion that the one before ended with. A first look is one round, to
-    no great precision.
+    Offsets and standard deviations `[view]` in frames, 0 where one is not free. Each round starts
+    from the motion that the one before ended with.
     """
     last_scale = tracks.points.loss_scale
-    freedom = free_clocks(free, _PRIOR)
+    freedom = free_clocks(free, _MOST_OFFSET)
     positions, adjusted, tau = tracks.points.points, rig, np.zeros(len(free))
-    for _ in range(1 if first_look else 7):
+    for _ in range(_ROUNDS):
         before = tau
         seen = TimedRayResiduals(tracks.seen, tracks.motion(positions))
         own = positions[:, tracks.own]
@@ -238,7 +223,7 @@ def _estimate(
             seen,
             freedom,
             loss_scale=last_scale,
-            tolerance=config.adjust.rough_tolerance if first_look else 1e-4,
+            tolerance=_TOLERANCE,
         )
         state = _at_size_of(rig, optimise_points(state, seen, loss_scale=last_scale))
         adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
@@ -257,7 +242,7 @@ def _estimate(
         scale=last_scale,
     )
     sigma = np.sqrt(freedom.by_view[:, -1] @ np.diag(covariance.cautious))
-    return _Estimate(rig=adjusted, tau=tau, sigma=sigma)
+    return adjusted, tau, sigma
 
 
 def _at_size_of(rig: CameraRig, state: State) -> State:
@@ -275,3 +260,68 @@ def _at_size_of(rig: CameraRig, state: State) -> State:
         points=first[:, None] + (state.points - first[:, None]) / size,
         intrinsics=state.intrinsics / size,
     )
+
+
+# Detections at the time of the first camera
+
+
+def resample(
+    recording: Recording, rig: CameraRig, matches: Matches, tau: Floats, config: TriangulateConfig
+) -> Recording:
+    """Return the recording with detections as the cameras would have seen them at one time.
+
+    tau: `[view]` frames by which a camera's images are later than those of the same number of a
+    camera whose offset is 0. Unassigned detections, and those of points that are not known or whose
+    motion is not, stay as they are.
+    """
+    resampled = recording
+    for _ in range(2):  # the second triangulates what the first has brought nearer together
+        poses = triangulate(resampled, rig, matches, config)
+        resampled = _move_detections(recording, rig, matches, poses, -tau)
+    return resampled
+
+
+def _move_detections(
+    recording: Recording, rig: CameraRig, matches: Matches, poses: Poses3D, time: Floats
+) -> Recording:
+    """Return the recording with detections moved as their points move in a time `[view]`."""
+    positions = recording.positions.copy()
+    frames = len(poses.frames)
+    for view in np.flatnonzero(time).tolist():
+        for start in range(0, frames, _BLOCK):
+            block = np.arange(start, min(start + _BLOCK, frames))
+            shift = _image_motion(rig, view, poses, block, float(time[view]))
+            labels = matches.labels[view, block]
+            frame, instance = np.nonzero(labels >= 0)
+            moved = np.nan_to_num(shift[frame, labels[frame, instance]])
+            positions[view, block[frame], instance] += moved.astype(positions.dtype)
+    return replace(recording, positions=positions)
+
+
+def _image_motion(rig: CameraRig, view: int, poses: Poses3D, block: Ints, time: float) -> Floats:
+    """Return how far poses of some frames move in a view's images in a time in frames.
+
+    `[frame, individual, keypoint, 2]` in pixels, NaN where it is not known.
+    """
+    points = poses.positions[block].reshape(-1, 3).T
+    moved = points + time * _velocity(poses, block)
+    rotation, translation = rig.rotation[view], rig.translation[view][:, None]
+    now, then = (
+        lens.project(rig.cameras[view], rotation @ where + translation) for where in (points, moved)
+    )
+    return (then - now).T.reshape(*poses.positions[block].shape[:3], 2)
+
+
+def _velocity(poses: Poses3D, block: Ints) -> Floats:
+    """Return the velocity `[3, N]` of the points of some frames, in lengths by frame.
+
+    block: `[frame]` indices, one after the other. Points are in the order frame, individual,
+    keypoint. Where a neighbour is not known, or its frame does not follow, a point moves as the
+    other one says; NaN where neither is.
+    """
+    step, around = usual_step(poses.frames), np.arange(block[0] - 1, block[-1] + 2)
+    around = np.clip(around, 0, len(poses.frames) - 1)
+    follows = np.diff(poses.frames[around]) == step
+    moved = np.diff(poses.positions[around], axis=0)
+    moved = np.where(follows[:, None, None, None], moved, np.nan)
+    return mean_of_known(np.stack([moved[:-1], moved[1:]]), 0).reshape(-1, 3).T / step

@@ -10,8 +10,7 @@ from scenes import PEOPLE, calibrate_group, rotation_errors_deg, scene
 from mocap_calib.adjust.motion import Motion, motion_between, smoothness
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
-from mocap_calib.clocks.resample import resample
-from mocap_calib.clocks.subframe import find_time_offsets
+from mocap_calib.clocks.subframe import find_time_offsets, resample
 from mocap_calib.config import Config
 from mocap_calib.recording.sampling import take_sample, usual_step
 from mocap_calib.recording.synchronise import make_recording
