@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from math import radians
 from typing import Literal, get_args
 
+DECISIVE_NATS = 3.0  # of evidence: odds of 20 to 1
 SMALL_RIG = 17  # cameras: of up to so many nearly all see the same bodies
 
 LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
@@ -389,10 +390,6 @@ class UncertaintyConfig:
     # A given focal length is wrong that would change by so many standard deviations if it were
     # free: its own, or the mean of all where they are alike.
     focal_significance: float = 4.0
-    # The same of a camera whose focal length is not that of two others of the same image size, if
-    # it has rather theirs by so many nats of likelihood. Measured where sigma is 5 %: 1.2, 4.9 and
-    # 9.6 where one is wrong by 10, 20 and 30 %.
-    equal_focal_nats: float = 3.0
     # Errors beyond sigma, which the cameras of real rigs share: up to 3.5 % of shelf.
     focal_systematic: float = 0.02
     tied_misfit: float = 1.001  # ratio of misfits that differ by where an adjustment ended alone

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_calib.config import CLOCK_RATES
+from mocap_calib.config import CLOCK_RATES, PairwiseConfig
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.kernels import clocks as kernels
 from mocap_calib.kernels.loading import contiguous
@@ -27,7 +27,7 @@ Singles = NDArray[np.float32]
 Pair = tuple[int, int]
 
 LEAST_FRAMES = 20  # that both views see: fewer agree by chance
-POSE_TOLERANCE = 0.35  # RMS joint distance of two lifts of one body
+POSE_TOLERANCE = PairwiseConfig.pose_tolerance
 _AXES = 10  # of the bodies' joints that are compared: bodies differ in few ways
 BLOCK_FRAMES = 30  # of a block of time, which has an offset of its own in the search
 _CELLS = 500_000  # pairs of bodies compared at a time, as many as the cache of a processor holds

@@ -7,7 +7,7 @@ with the time left open: search -> maps -> align the bodies at these maps -> map
 A camera stays as it is unless the evidence for another clock is decisive.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,41 +16,57 @@ import numpy as np
 from mocap_calib.clocks.compare import (
     LEAST_FRAMES,
     Pair,
-    Singles,
-    ViewInTime,
-    agreement,
-    align_at,
     compared_pairs,
     search_rotation,
     views_in_time,
 )
-from mocap_calib.clocks.describe import StretchNumbers, combine_clocks, describe_clock
 from mocap_calib.clocks.evidence import (
-    DECISIVE,
     Agreements,
     Timing,
-    evidence,
+    combine_clocks,
+    describe_clock,
+    frame_numbers,
     standardise,
     weigh,
 )
-from mocap_calib.clocks.follow import find_timing
-from mocap_calib.clocks.refine import agreements_of_rig
+from mocap_calib.clocks.follow import (
+    agreement_values,
+    find_timing,
+    is_better,
+    scaled_agreements,
+    solve_maps,
+)
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import Config, SyncConfig
 from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.rotation import skew
+from mocap_calib.kernels import clocks as kernels
+from mocap_calib.kernels.loading import contiguous
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.weights import AUTO, choose_model
-from mocap_calib.recording.sampling import choose_stretches, take_sample
+from mocap_calib.recording.sampling import choose_stretches, take_sample, usual_step
 from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
-from mocap_calib.results import CalibrationResult, Clocks, GroupResult, LiftedPoses
+from mocap_calib.results import CalibrationResult, Clocks, GroupResult, LiftedPoses, Matches
 from mocap_calib.rig.large_rigs import calibrate_view_graph
+from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.training.device import on_device
-from mocap_calib.types import CameraClock, Floats, Ints, Progress, Recording, Sample, silent
+from mocap_calib.types import (
+    CameraClock,
+    CameraRig,
+    Floats,
+    Ints,
+    Progress,
+    Recording,
+    Sample,
+    silent,
+)
 
 T = TypeVar("T")  # what is observed of a recording
 Calibrate = Callable[[Recording, T | None], tuple[T, CalibrationResult]]
 _ROUNDS = 4  # of calibrating again on refined clocks
+_REACH = 15  # frames: offsets that are compared by a rig, early and late
+_LOSS_SCALE = 1.5  # median distances of rays, at which the loss turns
 
 
 def compare_clocks(
@@ -133,18 +149,15 @@ def calibrate_on_clocks(
     if config.mode == "off":
         return calibrated, clocks
     for _ in range(_ROUNDS):
-        cameras = refine_clocks(calibrated[1].groups, clocks.cameras, config)
-        before, clocks = clocks, clocks_from(recording, cameras)
-        if _show_same(before, clocks):
+        before, clocks = (
+            clocks,
+            clocks_from(recording, refine_clocks(calibrated[1].groups, clocks.cameras, config)),
+        )
+        same = np.array_equal(before.frames, clocks.frames)
+        if same and np.array_equal(before.source, clocks.source):
             break
         calibrated = calibrate(retime(recording, clocks), None)
     return calibrated, clocks
-
-
-def _show_same(first: Clocks, second: Clocks) -> bool:
-    """Return whether two clocks show the same frames."""
-    same = np.array_equal(first.frames, second.frames)
-    return same and np.array_equal(first.source, second.source)
 
 
 def find_clocks(
@@ -168,11 +181,11 @@ def find_clocks(
     compared = [(a, b) for a, b in compared_pairs(len(views)) if enough[a] and enough[b]]
     if window < 1 or not compared:
         return tuple(map(CameraClock, recording.names))
-    numbers = StretchNumbers.of(recording, stretches)
+    numbers = frame_numbers(recording, stretches)
     given = {pair: rotations[pair] for pair in compared if pair in rotations}
-    as_numbered = _values(views, given)
+    as_numbered = agreement_values(views, given)
     if given:
-        agreements = _agreements(as_numbered, as_numbered, len(views), window)
+        agreements = scaled_agreements(as_numbered, as_numbered, len(views), window)
         cameras = _cameras(
             recording.names, numbers, find_timing(agreements), agreements, agreements
         )
@@ -183,49 +196,15 @@ def find_clocks(
         lambda job: search_rotation(views[job[0][0]], views[job[0][1]], 2 * window, job[1]),
         zip(compared, generators, strict=True),
     )
-    values, timing = _solve(views, dict(zip(compared, searched, strict=True)), window)
+    values, timing = solve_maps(views, dict(zip(compared, searched, strict=True)), window)
     if given:
         # bodies of a gait also match half a cycle apart, under rotations that are turned by 180 deg
-        near = _solve(views, given, window)
-        if not _is_better((values, timing), near):
+        near = solve_maps(views, given, window)
+        if not is_better((values, timing), near):
             values, timing = near
-    agreements = _agreements(values, values, len(views), window)
-    in_step = _agreements(values | as_numbered, values, len(views), window)
+    agreements = scaled_agreements(values, values, len(views), window)
+    in_step = scaled_agreements(values | as_numbered, values, len(views), window)
     return _cameras(recording.names, numbers, timing, agreements, in_step)
-
-
-Solution = tuple[dict[Pair, Singles], Timing]
-
-
-def _solve(views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats], window: int) -> Solution:
-    """Return the agreement of pairs and the maps, both fitted in turn from given rotations on."""
-    for _ in range(2):
-        values = _values(views, rotations)
-        timing = find_timing(_agreements(values, values, len(views), window))
-        rotations = _align_at_maps(views, rotations, timing)
-    values = _values(views, rotations)
-    return values, find_timing(_agreements(values, values, len(views), window))
-
-
-def _is_better(found: Solution, than: Solution) -> bool:
-    """Return whether bodies agree decisively better in one solution than in another one."""
-    first, second = (_along_maps(each, found[0].keys() & than[0].keys()) for each in (found, than))
-    shown = np.isfinite(first) & np.isfinite(second)
-    return evidence(first - second, shown) >= DECISIVE
-
-
-def _along_maps(solution: Solution, pairs: Iterable[Pair]) -> Floats:
-    """Return the mean agreement `[stretch, frame]` of pairs at the times of the maps."""
-    values, timing = solution
-    total, count = np.zeros(timing.maps.shape[1:]), np.zeros(timing.maps.shape[1:])
-    for a, b in pairs:
-        own_a, own_b = timing.maps[a], timing.maps[b]
-        stretch = np.arange(len(own_a))[:, None]
-        agreement = values[a, b][stretch, np.maximum(own_a, 0), np.maximum(own_b, 0)]
-        known = (own_a >= 0) & (own_b >= 0) & np.isfinite(agreement)
-        total += np.where(known, agreement, 0.0)
-        count += known
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def refine_clocks(
@@ -235,46 +214,24 @@ def refine_clocks(
     cameras = {camera.camera: camera for camera in clocks}
     for group in groups:
         stretches = choose_stretches(group.recording, config)
-        numbers = StretchNumbers.of(group.recording, stretches)
+        numbers = frame_numbers(group.recording, stretches)
         window = min(config.window, stretches.shape[1] // 3)
         rig = group.adjusted.rig
-        agreements = agreements_of_rig(group.recording, rig, group.matches, stretches, window)
+        agreements = _agreements_of_rig(group.recording, rig, group.matches, stretches, window)
         if agreements.values:
             timing = find_timing(agreements, constant=True)
             for found in _cameras(rig.names, numbers, timing, agreements, agreements):
                 before = cameras[found.camera]
                 # one frame names no camera: the estimate of parts of a frame is finer
-                if before.differs or not found.differs or abs(found.offset) > numbers.step:
+                finer = abs(found.offset) <= usual_step(group.recording.frames)
+                if before.differs or not (found.differs and finer):
                     cameras[found.camera] = combine_clocks(before, found)
     return tuple(cameras.values())
 
 
-def _values(views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats]) -> dict[Pair, Singles]:
-    """Return the agreement of pairs of views under rotations b_from_a."""
-    return {(a, b): agreement(views[a], views[b], turn) for (a, b), turn in rotations.items()}
-
-
-def _agreements(
-    values: Mapping[Pair, Singles], like: Mapping[Pair, Singles], views: int, window: int
-) -> Agreements:
-    """Return agreement in standard deviations of that of the same pairs in `like`."""
-    scaled = {pair: standardise(each, like[pair]) for pair, each in values.items()}
-    return Agreements(views, scaled, window)
-
-
-def _align_at_maps(
-    views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats], timing: Timing
-) -> dict[Pair, Floats]:
-    """Return the rotations of pairs that align their bodies at the times of the maps."""
-    return {
-        (a, b): align_at(views[a], views[b], turn, timing.maps[a], timing.maps[b])
-        for (a, b), turn in rotations.items()
-    }
-
-
 def _cameras(
     names: Sequence[str],
-    numbers: StretchNumbers,
+    numbers: Ints,
     timing: Timing,
     agreements: Agreements,
     in_step: Agreements,
@@ -308,3 +265,63 @@ def _cameras(
             np.where(stay, 1.0, timing.rates),
             np.where(kept, 0.0, timing.agreement),
         )
+
+
+def _agreements_of_rig(
+    recording: Recording, rig: CameraRig, matches: Matches, stretches: Ints, window: int
+) -> Agreements:
+    """Return how nearly the rays of pairs of views meet in any two frames up to a window apart.
+
+    The mean log likelihood of the keypoints; pairs that share none are left out. How nearly rays of
+    two cameras meet at other offsets of the clocks shows whole frames, as far as bodies move.
+
+    matches: labels in all frames. stretches: `[stretch, frame]` indices, -1 = no frame.
+    """
+    window, rays = min(window, _REACH), _rays(recording, matches, stretches)
+    planes = {
+        (a, b): _epipolar_planes(rays[a], rays[b], *rig.relative(a, b))
+        for a, b in compared_pairs(len(rig))
+    }
+    angles = {pair: _synchronous_angles(*each) for pair, each in planes.items()}
+    known = [pair for pair, each in angles.items() if len(each)]
+    scale = _LOSS_SCALE * float(np.median([np.median(angles[pair]) for pair in known] or 1.0))
+    time = np.arange(stretches.shape[1])[:, None]
+    column = time + np.arange(-window, window + 1)
+    row, offset = np.nonzero((column >= 0) & (column < len(time)))
+    values = {}
+    for pair in known:
+        table = np.empty((*stretches.shape, 2 * window + 1))
+        kernels.mean_epipolar_likelihood(*contiguous(*planes[pair]), scale, table)
+        whole = np.full((len(table), len(time), len(time)), np.nan, np.float32)
+        whole[:, row, column[row, offset]] = table[:, row, offset]
+        values[pair] = standardise(whole, whole)
+    return Agreements(len(rig), values, window)
+
+
+def _rays(recording: Recording, matches: Matches, stretches: Ints) -> Floats:
+    """Return the unit rays `[view, stretch, frame, point, 3]` of all labelled keypoints."""
+    frames = np.unique(stretches[stretches >= 0])
+    rays = gather_tracks(recording, matches, frames).rays
+    rays = np.moveaxis(rays.reshape(len(rays), 3, len(frames), -1), 1, -1)
+    place = np.searchsorted(frames, np.maximum(stretches, frames[0]))
+    return np.where((stretches >= 0)[..., None, None], rays[:, place], np.nan)
+
+
+def _epipolar_planes(
+    a: Floats, b: Floats, rotation: Floats, translation: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the normals of the epipolar planes of rays of a, rays of b, and squares of both.
+
+    Two rays miss each other by the angle normal . ray / sqrt(square of a + square of b).
+
+    a, b: `[stretch, frame, point, 3]` rays. rotation, translation: of b_from_a.
+    """
+    essential = skew(translation) @ rotation
+    normal = a @ essential.T
+    return normal, b, (normal**2).sum(-1), ((b @ essential) ** 2).sum(-1)
+
+
+def _synchronous_angles(normal: Floats, ray: Floats, square_a: Floats, square_b: Floats) -> Floats:
+    """Return the angles `[N]` by which rays of equal frame numbers miss each other."""
+    angle = np.abs((normal * ray).sum(-1)) / np.sqrt(square_a + square_b)
+    return angle[np.isfinite(angle)]

@@ -5,22 +5,29 @@ rates, and at last with lost frames: steps of the ridge of its agreement with th
 Viterbi's algorithm with a penalty for each step.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.clocks.compare import LEAST_FRAMES
+from mocap_calib.clocks.compare import (
+    LEAST_FRAMES,
+    Pair,
+    Singles,
+    ViewInTime,
+    agreement,
+    align_at,
+)
 from mocap_calib.clocks.evidence import (
-    DECISIVE,
     LEAST_BLOCK,
     Agreements,
     Timing,
     along_map,
     camera_table,
     evidence,
+    standardise,
 )
-from mocap_calib.config import CLOCK_RATES
+from mocap_calib.config import CLOCK_RATES, DECISIVE_NATS
 from mocap_calib.kernels import clocks as kernels
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Floats, Ints
@@ -151,7 +158,7 @@ def _improve(agreements: Agreements, timing: Timing, change: Change) -> Timing:
             changed = change(agreements, timing, view)
             shown = (changed.maps[view] >= 0) & (timing.maps[view] >= 0)
             difference = changed.agreement[view] - timing.agreement[view]
-            if evidence(difference, shown) >= DECISIVE:
+            if evidence(difference, shown) >= DECISIVE_NATS:
                 gains.append((float(difference[shown].sum()), view, changed))
         if not gains:
             break
@@ -230,3 +237,66 @@ def _on_common_clock(timing: Timing) -> Timing:
         timing.rates,
         np.where(inside, timing.agreement[..., index], 0.0),
     )
+
+
+# Maps and rotations of pairs, from bodies
+
+Solution = tuple[dict[Pair, Singles], Timing]
+
+
+def solve_maps(
+    views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats], window: int
+) -> Solution:
+    """Return the agreement of pairs and the maps, both fitted in turn from given rotations on."""
+    for _ in range(2):
+        values = agreement_values(views, rotations)
+        timing = find_timing(scaled_agreements(values, values, len(views), window))
+        rotations = _align_at_maps(views, rotations, timing)
+    values = agreement_values(views, rotations)
+    return values, find_timing(scaled_agreements(values, values, len(views), window))
+
+
+def is_better(found: Solution, than: Solution) -> bool:
+    """Return whether bodies agree decisively better in one solution than in another one."""
+    first, second = (_along_maps(each, found[0].keys() & than[0].keys()) for each in (found, than))
+    shown = np.isfinite(first) & np.isfinite(second)
+    return evidence(first - second, shown) >= DECISIVE_NATS
+
+
+def _along_maps(solution: Solution, pairs: Iterable[Pair]) -> Floats:
+    """Return the mean agreement `[stretch, frame]` of pairs at the times of the maps."""
+    values, timing = solution
+    total, count = np.zeros(timing.maps.shape[1:]), np.zeros(timing.maps.shape[1:])
+    for a, b in pairs:
+        own_a, own_b = timing.maps[a], timing.maps[b]
+        stretch = np.arange(len(own_a))[:, None]
+        agreement = values[a, b][stretch, np.maximum(own_a, 0), np.maximum(own_b, 0)]
+        known = (own_a >= 0) & (own_b >= 0) & np.isfinite(agreement)
+        total += np.where(known, agreement, 0.0)
+        count += known
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def agreement_values(
+    views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats]
+) -> dict[Pair, Singles]:
+    """Return the agreement of pairs of views under rotations b_from_a."""
+    return {(a, b): agreement(views[a], views[b], turn) for (a, b), turn in rotations.items()}
+
+
+def scaled_agreements(
+    values: Mapping[Pair, Singles], like: Mapping[Pair, Singles], views: int, window: int
+) -> Agreements:
+    """Return agreement in standard deviations of that of the same pairs in `like`."""
+    scaled = {pair: standardise(each, like[pair]) for pair, each in values.items()}
+    return Agreements(views, scaled, window)
+
+
+def _align_at_maps(
+    views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats], timing: Timing
+) -> dict[Pair, Floats]:
+    """Return the rotations of pairs that align their bodies at the times of the maps."""
+    return {
+        (a, b): align_at(views[a], views[b], turn, timing.maps[a], timing.maps[b])
+        for (a, b), turn in rotations.items()
+    }

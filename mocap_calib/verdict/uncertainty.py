@@ -23,7 +23,7 @@ from mocap_calib.adjust.refine import (
 )
 from mocap_calib.adjust.rig_covariance import rig_covariance
 from mocap_calib.compute.parallel import do_both, single_threaded_libraries
-from mocap_calib.config import Config, IntrinsicsConfig, UncertaintyConfig
+from mocap_calib.config import DECISIVE_NATS, Config, IntrinsicsConfig, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
 from mocap_calib.geometry.lens import change_intrinsics
@@ -249,8 +249,9 @@ def _favours_equals(
 ) -> Bools:
     """Return where a camera `[view]` has rather the focal length of the others than its own.
 
-    The others: at least two of the same image size, whose focal lengths are alike. The ratio of the
-    likelihoods of the two focal lengths must be large.
+    The others: at least two of the same image size, whose focal lengths are alike. The evidence for
+    their focal length must be decisive. Measured where sigma is 5 %: 1.2, 4.9 and 9.6 nats where
+    one is wrong by 10, 20 and 30 %.
     """
     focal, alike = np.log([camera.focal for camera in cameras]), 2 * config.focal_systematic
     kind = shared_intrinsics(cameras, IntrinsicsConfig())
@@ -262,7 +263,7 @@ def _favours_equals(
         to_others = float(np.median(focal[others])) - focal[view]
         variance = sigma[view] ** 2 + config.focal_systematic**2
         nats = (change[view] ** 2 - (change[view] - to_others) ** 2) / (2 * variance)
-        found[view] = abs(to_others) > alike and nats > config.equal_focal_nats
+        found[view] = abs(to_others) > alike and nats > DECISIVE_NATS
     return found
 
 
