@@ -145,8 +145,9 @@ def verify_rig(
         rotation_sigma_deg=_by_name(given, np.rad2deg(covariance.rotation_sigma)),
         centre_sigma_percent=_by_name(given, 100 * covariance.centre_sigma),
     )
-    for view, camera, pose in zip(views.tolist(), mended.cameras, _poses(mended), strict=True):
-        rig = _with_camera(rig, view, camera, pose)
+    for place, view in enumerate(views.tolist()):
+        pose = CameraPose(mended.rotation[place], mended.translation[place])
+        rig = _with_camera(rig, view, mended.cameras[place], pose)
     return Verification(
         cameras=cameras,
         verdict=verdict.word,
@@ -285,11 +286,6 @@ def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: CameraPose) ->
     return replace(rig, cameras=cameras, rotation=rotation, translation=translation)
 
 
-def _poses(rig: CameraRig) -> list[CameraPose]:
-    """Return the pose of each camera."""
-    return [CameraPose(*pose) for pose in zip(rig.rotation, rig.translation, strict=True)]
-
-
 # --- records
 
 
@@ -303,7 +299,10 @@ def _compare(
     """Yield how each camera of the adjusted rig differs from the given one."""
     given = placed.rig
     size, views = rig_size(given), np.arange(len(given))
-    focal = np.log(_focal_lengths(mended) / _focal_lengths(given))
+    focal = [
+        float(np.log(now.focal / before.focal))
+        for now, before in zip(mended.cameras, given.cameras, strict=True)
+    ]
     for view, name in enumerate(given.names):
         others = views[views != view] if len(views) > 2 else views
         known = place_points(sample, replace(placed, rig=mended), others, config)
@@ -325,12 +324,7 @@ def _compare(
             shift=shift,
             shift_sigma=shift_sigma * size,
             relative_shift=shift / size,
-            focal_change=float(focal[view]),
+            focal_change=focal[view],
             error_px=typical_error(known, given, view, config),
             refitted_px=typical_error(known, mended, view, config),
         )
-
-
-def _focal_lengths(rig: CameraRig) -> Floats:
-    """Return the focal lengths `[view]` in pixels."""
-    return np.array([camera.focal for camera in rig.cameras])
