@@ -111,7 +111,7 @@ def covariance_of(fitted: FittedRig, config: Config) -> RigCovariance:
     # bend^4: what parts of the errors do beyond first order, all of them together do once more.
     usual = config.uncertainty.usual_bend
     bend = np.sqrt(variance_of_parts(fitted, config) / max(of_time, 1e-30))
-    frames = len(np.unique(fitted.problem.tracks.frame))
+    frames = distinct_frames(fitted.problem)
     if frames == 1:  # it has no parts
         bend = usual
     elif frames >= config.uncertainty.time_blocks:  # chance alone makes it as large
@@ -126,6 +126,28 @@ def covariance_of(fitted: FittedRig, config: Config) -> RigCovariance:
         if not (known and np.isfinite(covariance.centre_sigma).all()):
             covariance = RigCovariance.unknown(len(rig), rig_size(rig))
     return covariance
+
+
+def distinct_frames(problem: Problem) -> int:
+    """Return in how many frames the points of a problem are in other places.
+
+    A frame counts where half of the keypoints are farther from where they were seen in the last one
+    that does than noise makes 5 % of them: frames of a subject at rest share their errors.
+    """
+    tracks, keypoints = problem.tracks, problem.tracks.keypoint.max() + 1
+    focal = np.array([camera.focal for camera in problem.rig.cameras])
+    pixels = np.where(tracks.used[:, None], tracks.pixels, np.nan)
+    frames, frame = np.unique(tracks.frame, return_inverse=True)
+    point = tracks.individual * keypoints + tracks.keypoint
+    place = np.full((len(frames), point.max() + 1, len(focal), 2), np.nan)
+    place[frame, point] = np.moveaxis(pixels / (problem.noise * focal)[:, None, None], -1, 0)
+    last, count = place[0], 1
+    for now in place[1:]:
+        apart = ((now - last) ** 2).sum(-1) / 2  # of two detections
+        known = apart[np.isfinite(apart)]
+        if not len(known) or np.median(known) > chdtri(2, 0.05):
+            last, count = now, count + 1
+    return count
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:

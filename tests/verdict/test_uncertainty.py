@@ -106,6 +106,21 @@ def test_what_does_not_constrain_the_rig_leaves_all_open(monkeypatch):
     assert np.rad2deg(found.rotation_sigma) == pytest.approx(180)
 
 
+def test_frames_of_a_subject_at_rest_count_as_one():
+    """Noise of 2 px on a frame that is repeated, against people who move."""
+    matches, rig, config = truth(**SMALL), scene(**SMALL).rig, Config()
+    moving = recording(**SMALL)
+    still = np.repeat(moving.positions[:, :1], len(moving.frames), 1)
+    noisy = still + np.random.default_rng(0).normal(0, 2, still.shape)
+    labels = np.repeat(matches.labels[:, :1], len(moving.frames), 1)
+    found = []
+    for seen, each in ((moving, matches), (replace(moving, positions=noisy), Matches(labels))):
+        problem = stage.choose_problem(take_sample(seen, slice(None)), rig, each, config)
+        found.append(stage.distinct_frames(problem))
+    assert found[0] > 0.9 * len(moving.frames)  # measured: 39 of 40
+    assert found[1] == 1
+
+
 @pytest.mark.slow
 def test_a_statue_determines_the_rig_worse_than_people_who_move():
     """Faults of 15 px that never change: the error grows, and the sigma covers it.
