@@ -39,7 +39,6 @@ from mocap_calib.verdict.uncertainty import assess_uncertainty, with_uncertain_c
 from mocap_calib.wording import count
 
 _HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected
-_FEW_FRAMES = 30
 _FACING_DEG = 150.0  # between the viewing directions of cameras that face each other
 
 
@@ -68,7 +67,7 @@ def assess(
 ) -> Verdict:
     """Return the verdict on the rig of a group. checks: of the group, as of `check_rig`."""
     causes = [
-        *_covariance(group, faults),
+        *_covariance(group, faults, config),
         *_principal_points(group, config),
         *(_of_check(check) for check in checks if check.error_deg > 0),
         *_left_open(group),
@@ -159,7 +158,7 @@ def conclude_without_pairs(
     )
 
 
-def _covariance(group: GroupResult, faults: Sequence[Fault]) -> Iterator[Cause]:
+def _covariance(group: GroupResult, faults: Sequence[Fault], config: Config) -> Iterator[Cause]:
     """Yield the standard deviation of each camera, with what would lower it."""
     sigma = np.rad2deg(group.uncertainty.covariance.rotation_sigma)
     turn = np.rad2deg(group.uncertainty.intrinsics_turn)
@@ -168,7 +167,7 @@ def _covariance(group: GroupResult, faults: Sequence[Fault]) -> Iterator[Cause]:
     for view, name in enumerate(group.rig.names):
         meaning = f"{name}: rotation +-{sigma[view]:.1f} deg"
         if 2 * turn[view] ** 2 <= sigma[view] ** 2:
-            remedy = _remedy(group, view) if view == sigma.argmax() else "record longer"
+            remedy = _remedy(group, view, config) if view == sigma.argmax() else "record longer"
         elif name in crops:
             meaning += f", as {crops[name]}, which is an estimate"
             remedy = "undo it, or state what is known of it"
@@ -279,10 +278,10 @@ def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
     return replace(group, uncertainty=known)
 
 
-def _remedy(group: GroupResult, worst: int) -> str:
+def _remedy(group: GroupResult, worst: int, config: Config) -> str:
     """Return what would determine a camera (index) better."""
     frames = len(labelled_frames(group.matches))
-    if frames < _FEW_FRAMES:
+    if frames < config.uncertainty.time_blocks:
         return f"record longer: bodies are matched in {count(frames, 'frame')} only"
     if group.uncertainty.weak_perspective[worst]:
         return "let the subject come closer: the camera is far away for the size of its bodies"
