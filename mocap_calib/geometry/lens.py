@@ -170,13 +170,8 @@ def project_points(rig: CameraRig, points: ArrayLike) -> Floats:
     Raises ValueError where the last axis of the points is not 3.
     """
     world = as_array("points", points, float, *np.shape(points)[:-1], 3)
-    views = zip(rig.cameras, rig.rotation, rig.translation, strict=True)
-    return np.stack(
-        [
-            pixels_from_points(camera, world @ rotation.T + translation)
-            for camera, rotation, translation in views
-        ]
-    )
+    pixels = project_views(rig, world.reshape(-1, 3).T)
+    return pixels.swapaxes(1, 2).reshape(len(rig), *world.shape[:-1], 2)
 
 
 def points_in_cameras(rig: CameraRig, points: Floats) -> Floats:

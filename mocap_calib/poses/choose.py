@@ -77,7 +77,7 @@ def error_of_mean(values: Floats, run: Ints) -> float:
 
 
 def usual_strengths(
-    points: Floats, seen: Detections, body: Body, config: PosesConfig, *, moves: bool = True
+    points: Floats, seen: Detections, body: Body, config: PosesConfig, *, moves: bool
 ) -> Strengths:
     """Return strengths without held-out detections: weak ones.
 

@@ -31,6 +31,7 @@ from mocap_calib.poses.track import (
     with_gaps,
     with_second_neighbours,
 )
+from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import GroupResult, Matches, Poses3D, Smoothing
 from mocap_calib.rig.tracks import gather_tracks, view_noise
@@ -80,17 +81,6 @@ class _Scene:
     def edges(self) -> Ints:
         """`[edge, 2]` keypoints whose distance tells: those that one bone joins, or two in turn."""
         return with_second_neighbours(self.bones, len(self.recording.keypoints))
-
-    @cached_property
-    def mirror(self) -> Ints:
-        """`[keypoint]` the keypoint of the other side, itself where there is none."""
-        skeleton = load_vocabulary(self.recording.model)
-        index = {int(joint): k for k, joint in enumerate(self.recording.vocabulary) if joint >= 0}
-        mirror = np.arange(len(self.recording.keypoints))
-        for left, right in skeleton.symmetries:
-            if left in index and right in index:
-                mirror[index[left]], mirror[index[right]] = index[right], index[left]
-        return mirror
 
     @cached_property
     def times(self) -> Floats:
@@ -274,7 +264,9 @@ def _estimate(
     config, strengths = scene.config, choice.strengths
     points, seen, body = scene.track(who, frames)
     points = fit(points, seen, body, strengths, config, steps=2 * config.steps)
-    seen, exchanged = exchange_sides(points, seen, scene.mirror, config)
+    seen, exchanged = exchange_sides(
+        points, seen, exchanged_sides(scene.recording.keypoints), config
+    )
     seen, outliers = drop_outliers(points, seen, config)
     points = fit(points, seen, body, strengths, config, steps=config.steps)
     wide = replace(strengths, loss=config.losses[0])  # a narrow loss weighs all errors as outliers
