@@ -124,8 +124,8 @@ class ViewGraphConfig:
     least_confirmed_share: share of the pairs that close triangles; with a smaller one all pairs are
         calibrated. Measured in the first graph: 0.84 to 1 in halls and rings, at most 0.5 in a hall
         of 63 cameras where partners are drawn at random.
-    least_confirmed: such pairs of a camera, and further partners where it has fewer, twice as many
-        in each round that follows; least_bridges: between two parts. rounds: at most.
+    A camera with fewer such pairs than `partners` gets so many more, twice as many in each round
+        that follows, and so do two parts that fewer join. rounds: at most.
     """
 
     pairs: PairChoice = "chosen"
@@ -137,8 +137,6 @@ class ViewGraphConfig:
     partners: int = 5
     likely: float = 0.4
     least_confirmed_share: float = 0.6
-    least_confirmed: int = 4
-    least_bridges: int = 6
     rounds: int = 3
 
 
@@ -149,9 +147,8 @@ class AveragingConfig:
     least_score: a pair below it is not used; a camera that has only such pairs is left out.
     weak_score: below it the user is warned. Simulated views of different times reach 0.60, views
         of one time 0.84 and more.
-    breaks: a pair left with less of its weight than this contradicts the others.
-    rotation_scale_deg, translation_scale: a pair this far from the rig counts half; the
-        translation as a share of the pair's baseline.
+    scale_deg: a pair this far from the rig keeps a quarter of its weight, and one that keeps less
+        contradicts the others. So does a pair whose baseline is off by twice this angle.
     loop_doubt: a hypothesis that all its triangles contradict keeps this share of its score
         squared, against one that they confirm.
     contradicted_share: two groups that are certain without each other are joined by no strong pair
@@ -166,14 +163,17 @@ class AveragingConfig:
 
     least_score: float = 0.12
     weak_score: float = 0.62
-    breaks: float = 0.25
-    rotation_scale_deg: float = 4.0
-    translation_scale: float = 0.15
+    scale_deg: float = 4.0
     loop_doubt: float = 0.1
     contradicted_share: float = 0.25
     enough_triangles: int = 5
     lost_share: float = 0.5
     iterations: int = 30
+
+    @property
+    def translation_scale(self) -> float:
+        """The scale of translations, as a share of the baseline."""
+        return 2 * radians(self.scale_deg)
 
 
 @dataclass(frozen=True)
@@ -192,10 +192,10 @@ class MatchingConfig:
     decisive: evidence in nats that leaves no doubt: how much likelier a group's place in the next
         frame must be than any other, how unlikely it may be itself, and what each frame in which
         both are seen counts against two pieces of tracks being one individual.
+        Twice this much against it leaves two that are never seen together one individual, for a
+        recording has as few individuals as it needs.
     false_share: of the shorter one's frames, in which two pieces may be seen together and one be a
         false group.
-    strangers: evidence against it with which two that are never seen together are still one, for a
-        recording has as few individuals as it needs.
     most_pieces: that are joined at once; parts of longer recordings are joined by themselves.
     fleeting_frames, fleeting_share: an individual is unassigned if it is followed through no more
         frames than this, and through no larger share of them, and `sure_views` views do not see it
@@ -211,7 +211,6 @@ class MatchingConfig:
     sparse_step: float = 0.5
     decisive: float = 6.0
     false_share: float = 0.1
-    strangers: float = 12.0
     most_pieces: int = 500
     fleeting_frames: int = 10
     fleeting_share: float = 0.05
@@ -225,8 +224,7 @@ class MatchingConfig:
 # factorization: views and points that it needs
 FACTORIZATION_VIEWS = 3
 FACTORIZATION_POINTS = 24
-# rounds of leaving out the points whose residual is so many times the median, and that in pixels
-FACTORIZATION_ROUNDS = 5
+# points are left out whose residual is so many times the median, and that in pixels
 FACTORIZATION_OUTLIER = 2.5
 FACTORIZATION_LEAST_PX = 1.0
 # alternations between the points and the scale of each view

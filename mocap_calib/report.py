@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap_calib import __version__, mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import AveragingConfig, IntrinsicsConfig
+from mocap_calib.config import IntrinsicsConfig
 from mocap_calib.faults.clock_faults import describe_clock
 from mocap_calib.faults.words import describe_faults
 from mocap_calib.geometry.rotation import angle_between
@@ -27,7 +27,7 @@ from mocap_calib.results import (
     GroupResult,
     PairwiseCalibration,
 )
-from mocap_calib.rig.averaging import best_scores
+from mocap_calib.rig.averaging import WEIGHT_AT_SCALE, best_scores
 from mocap_calib.rig.loops import alternative_taken
 from mocap_calib.types import EstimatedCamera, Floats
 from mocap_calib.verdict.explained import distances_from_points
@@ -43,7 +43,7 @@ def run_report(
     inputs: path -> SHA-256. What is not known is None.
     """
     error, sigmas = distances_from_points(group), describe_pair_sigmas(group)
-    frames, averaging = group.recording.frames, result.config.averaging
+    frames = group.recording.frames
     return {
         "schema": SCHEMA,
         "verdict": describe_verdict(group),
@@ -63,7 +63,7 @@ def run_report(
         "cameras": _describe_cameras(group, error, result),
         "pairs": list(
             map_in_threads(
-                lambda k: sigmas[k] | _describe_pair(group, k, error, averaging),
+                lambda k: sigmas[k] | _describe_pair(group, k, error),
                 range(len(group.pairs)),
             )
         ),
@@ -165,9 +165,7 @@ def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) 
     return list(dict.fromkeys([*words, *found]))
 
 
-def _describe_pair(
-    group: GroupResult, index: int, error: Floats, config: AveragingConfig
-) -> dict[str, Any]:
+def _describe_pair(group: GroupResult, index: int, error: Floats) -> dict[str, Any]:
     """Return what is known of one pair of cameras.
 
     First what the rig makes of the points that both views see, then what the pair by itself
@@ -193,7 +191,7 @@ def _describe_pair(
         "loop_rotation_deg": float(np.degrees(averaged.loop_error[index])),
         "loop_translation_deg": float(np.degrees(averaged.translation_error[index])),
         "weight": weight,
-        "breaks_loop": weight < config.breaks,
+        "breaks_loop": weight < WEIGHT_AT_SCALE,
         "alternative_taken": alternative_taken(pair),
         "alternatives": [
             {

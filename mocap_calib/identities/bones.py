@@ -12,19 +12,15 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.geometry.graphs import spanning_tree
-from mocap_calib.identities.pieces import Pieces
+from mocap_calib.identities.pieces import SAMPLE, Pieces
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.associate import LogRatio, measure_log_ratio
 from mocap_calib.types import Floats, Ints
 
-_SAMPLE = 2000  # bodies that spreads are measured on
-_LONGEST = 500  # pieces that are compared with those seen at the same time
 _NORMAL = 1.48  # standard deviations over the median distance of a normal error from 0
-_NORMAL_SQUARE = 0.455  # the median square of a normal error over its variance
 _LEAST_SPREAD = 0.005  # of the logarithm of a length
 _ENOUGH = 3  # frames of a half, whose median is more than its own
 _MEMORY = 10  # frames after which a body errs in another way
-_BODIES = 8192  # measured at a time
 
 
 @dataclass(frozen=True)
@@ -89,10 +85,11 @@ class BoneLengths:
         return np.where(known.any(-1), np.where(known, nats, 0.0).sum(-1), np.nan)
 
 
-def measure_bones(points: Floats, pieces: Pieces) -> BoneLengths:
+def measure_bones(points: Floats, pieces: Pieces, longest: int) -> BoneLengths:
     """Return the bone lengths of all pieces, between the joints that are most rigid.
 
-    points: `[frame, group, joint, 3]`.
+    points: `[frame, group, joint, 3]`. longest: how many pieces, the longest, are compared with
+    those seen at the same time.
     """
     bones, spread = _find_bones(points, pieces)
     frame, group = np.nonzero(pieces.number >= 0)
@@ -107,9 +104,9 @@ def measure_bones(points: Floats, pieces: Pieces) -> BoneLengths:
             mean[half[part[0]]] = np.nan_to_num(_medians(lengths[part]))
             seen[half[part[0]]] = np.isfinite(lengths[part]).sum(0)
     residual = np.abs(lengths - mean[half])[seen[half].max(1) >= _ENOUGH]
-    some = evenly_spaced(np.arange(len(residual)), _SAMPLE)
+    some = evenly_spaced(np.arange(len(residual)), SAMPLE)
     spread = np.fmax(spread, _NORMAL * _medians(residual[some]) + _LEAST_SPREAD)
-    own, other = _halves(pieces)
+    own, other = _halves(pieces, longest)
     halves = BoneLengths(mean, _precision(seen, spread), np.zeros(len(bones)))
     whole = halves.join_all(np.arange(2 * pieces.count) // 2)
     whole = replace(whole, precision=_precision(seen[::2] + seen[1::2], spread))
@@ -130,12 +127,12 @@ def _precision(seen: Floats, spread: Floats) -> Floats:
     return np.where(seen > 0, 1 / (spread**2 * (1 / independent + 1)), 0.0)
 
 
-def _halves(pieces: Pieces) -> tuple[Ints, Ints]:
+def _halves(pieces: Pieces, count: int) -> tuple[Ints, Ints]:
     """Return pairs `[pair, 2]` of halves of one piece, and of pieces that are seen together.
 
-    A piece has the halves 2 x its number and that + 1. Of the longest pieces.
+    A piece has the halves 2 x its number and that + 1. Of so many pieces, the longest.
     """
-    longest = np.sort(np.argsort(-pieces.lengths, kind="stable")[:_LONGEST])
+    longest = np.sort(np.argsort(-pieces.lengths, kind="stable")[:count])
     own = 2 * longest[pieces.lengths[longest] > 1]
     first, last = pieces.first[longest, 0], pieces.last[longest, 0]
     together = (first[:, None] <= last) & (first <= last[:, None])
@@ -150,7 +147,7 @@ def _variance_apart(bodies: BoneLengths, pairs: Ints) -> Floats:
     known = (bodies.precision[i] > 0) & (bodies.precision[j] > 0)
     own = sum(1 / np.where(known, bodies.precision[k], 1.0) for k in (i, j))
     square = np.where(known, (bodies.mean[i] - bodies.mean[j]) ** 2, np.nan)
-    excess = 0.5 * (_medians(square) / _NORMAL_SQUARE - _medians(np.where(known, own, np.nan)))
+    excess = 0.5 * (_NORMAL**2 * _medians(square) - _medians(np.where(known, own, np.nan)))
     return np.asarray(np.maximum(np.nan_to_num(excess), 0.0))
 
 
@@ -165,7 +162,7 @@ def _find_bones(points: Floats, pieces: Pieces) -> tuple[Ints, Floats]:
     a, b = np.triu_indices(joints, 1)
     pairs = np.stack([a, b], axis=-1)
     frame, i, j = np.nonzero(pieces.nearest)
-    some = evenly_spaced(np.arange(len(frame)), _SAMPLE)
+    some = evenly_spaced(np.arange(len(frame)), SAMPLE)
     frame, i, j = frame[some], i[some], j[some]
     before = _log_lengths(points, pairs, frame, i)
     usual = (
@@ -194,7 +191,7 @@ def _log_lengths(points: Floats, pairs: Ints, frame: Ints, group: Ints) -> Float
         square = np.asarray(sum((part[:, a] - part[:, b]) ** 2 for part in bodies))
         lengths[block] = np.log(np.maximum(square, np.finfo(float).tiny)) / 2
 
-    do_in_threads(measure, mapped.frame_slices(len(frame), _BODIES))
+    do_in_threads(measure, mapped.frame_slices(len(frame)))
     return lengths
 
 

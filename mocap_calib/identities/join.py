@@ -18,11 +18,10 @@ from mocap_calib import mapped
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.identities.bones import BoneLengths
-from mocap_calib.identities.pieces import Pieces, rms_distance, surprise
+from mocap_calib.identities.pieces import SAMPLE, Pieces, rms_distance, surprise
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
 
-_SAMPLE = 2000  # groups that a scale is measured on
 _LAGS = (1, 2, 4, 8, 16, 32, 64)  # frames after which it is measured how far bodies go
 _STEPS = 3  # that a velocity is a mean of
 _ROUGH = 0.05  # share of bodies at the ends of pieces that are triangulated badly
@@ -49,7 +48,7 @@ def join_pieces(
     arrivals = _count_arrivals(clusters.individual, first, last, config)
     clusters = _Clusters.of(first, last, pairs, bodies, config)
     clusters.rate = arrivals / (last.max(initial=0) + 1)
-    least = 0.0 if arrivals else -config.strangers
+    least = 0.0 if arrivals else -2 * config.decisive
     clusters.join(least)
     clusters.alive |= last == first
     clusters.join(least)
@@ -230,7 +229,7 @@ def _pieces_between(first: Ints, last: Ints, pairs: tuple[Ints, Ints]) -> Ints:
 
 def usual_distance_apart(points: Floats) -> float:
     """Return the median distance between groups of one frame; NaN where there is one at most."""
-    sampled = mapped.take(points, evenly_spaced(np.arange(len(points)), _SAMPLE))
+    sampled = mapped.take(points, evenly_spaced(np.arange(len(points)), SAMPLE))
     distance = rms_distance(sampled[:, :, None], sampled[:, None])
     first, second = np.triu_indices(points.shape[1], 1)
     found = distance[:, first, second]
@@ -251,7 +250,7 @@ def _usual_distances(
     for lag in _LAGS:
         same = (number[:-lag, :, None] == number[lag:, None]) & (number[:-lag, :, None] >= 0)
         start, i, j = np.nonzero(same)
-        chosen = evenly_spaced(np.arange(len(start)), _SAMPLE)
+        chosen = evenly_spaced(np.arange(len(start)), SAMPLE)
         if lag > 1 and (lag > config.memory or not len(chosen)):
             break
         ends = np.stack([start, i], -1)[chosen], np.stack([start + lag, j], -1)[chosen]

@@ -16,6 +16,7 @@ from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints
 
+SAMPLE = 2000  # groups that scales and spreads are measured on
 _FRAMES = 512  # compared at a time
 
 

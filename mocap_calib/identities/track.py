@@ -92,7 +92,7 @@ def _join_pieces(frames: Ints, points: Floats, pieces: Pieces, config: MatchingC
 
     frames: `[frame]` numbers; points: `[frame, group, joint, 3]`.
     """
-    bodies = measure_bones(points, pieces)
+    bodies = measure_bones(points, pieces, config.most_pieces)
     individual = np.arange(pieces.count)
     while True:
         final = pieces.count <= config.most_pieces

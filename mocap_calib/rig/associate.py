@@ -23,12 +23,10 @@ from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.rig.tracks import per_frame_labels
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, Sample
 
-# pairs of detections grouped at a time: so many frames, or fewer in a crowd. They stay in the
-# cache, and make blocks enough for several threads
-_LIFTED_PAIRS = 50_000  # of a sample, compared by rays and lifted bodies
-_PLAIN_PAIRS = 200_000  # of a recording, compared by rays alone; and those of the likelihood ratio
-_SIDE_BY_SIDE = 4  # frames at least: the kernel compares several for little more than one,
-_MOST_PAIRS = 4_000_000  # as long as they do not have more pairs
+# pairs of detections grouped at a time, and in the frames that the likelihood ratio is measured on.
+# They stay in the cache, and make blocks enough for several threads
+_PAIRS = 200_000
+_SIDE_BY_SIDE = 4  # frames at least: the kernel compares several for little more than one
 _NEWTON_STEPS = 8  # of the logistic regression
 
 
@@ -108,7 +106,7 @@ def associate(
             affinity = _update_affinity(affinity, ratio(_pose_features(lifted, rig, block)))
         return _group_detections(affinity, comparable, views, config.matching.least_affinity)
 
-    blocks = _cut_into_blocks(np.arange(frames), views * instances, _LIFTED_PAIRS)
+    blocks = _cut_into_blocks(np.arange(frames), views * instances)
     for block, groups in zip(blocks, map_in_threads(group, blocks), strict=True):
         labels[:, block] = groups
         progress("match", int(block[-1]) + 1, frames)
@@ -138,7 +136,7 @@ def label_all_frames(
     labels[:, sample_frames, : matches.labels.shape[2]] = per_frame_labels(matches).labels
 
     others = np.setdiff1d(np.arange(frames), sample_frames)
-    blocks = _cut_into_blocks(others, views * instances, _PLAIN_PAIRS)
+    blocks = _cut_into_blocks(others, views * instances)
     label = partial(_label_by_rig, recording=recording, rig=rig, config=config)
     found = map_in_threads(label, blocks)
     for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
@@ -228,7 +226,7 @@ def _measure_pose_ratio(
     alone.
     """
     views, frames, instances = sample.positions.shape[:3]
-    count = max(1, _PLAIN_PAIRS // (views * instances) ** 2)
+    count = max(1, _PAIRS // (views * instances) ** 2)
     block = evenly_spaced(np.arange(frames), count)
     one, two = _certain_pairs(*_geometric_affinity(sample, lifted, rig, block, config), views=views)
     features = _pose_features(lifted, rig, block)
@@ -295,11 +293,10 @@ def cluster_detections(
     return cluster
 
 
-def _cut_into_blocks(frames: Ints, detections: int, pairs: int) -> list[Ints]:
-    """Return the frames `[frame]` in blocks that have about so many pairs of detections.
+def _cut_into_blocks(frames: Ints, detections: int) -> list[Ints]:
+    """Return the frames `[frame]` in blocks that have about as many pairs of detections.
 
     detections: in each frame, at most.
     """
-    in_frame = detections**2
-    size = max(1, pairs // in_frame, min(_SIDE_BY_SIDE, _MOST_PAIRS // in_frame))
+    size = max(_PAIRS // detections**2, _SIDE_BY_SIDE)
     return [frames[start : start + size] for start in range(0, len(frames), size)]

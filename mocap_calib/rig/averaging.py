@@ -27,6 +27,8 @@ from mocap_calib.results import Averaged, PairwiseCalibration
 from mocap_calib.rig.loops import count_triangles, find_lost_cameras, pairs_in_closed_triangles
 from mocap_calib.types import Camera, CameraRig, Floats, Ints
 
+WEIGHT_AT_SCALE = (1 / (1 + 1)) ** 2  # of Geman and McClure: pairs with less contradict the rig
+
 
 def best_scores(pairs: tuple[PairwiseCalibration, ...], views: int) -> Floats:
     """Return the score of the best pair of each view: its place in the rig rests on this pair.
@@ -207,7 +209,7 @@ def _average_rotations(edges: _Edges, views: int, config: AveragingConfig) -> tu
     """
     rotation = _rotations_along_tree(edges, views)
     incidence = _incidence(edges, views)
-    scale = np.deg2rad(config.rotation_scale_deg)
+    scale = np.deg2rad(config.scale_deg)
     weight = edges.trust
     for _ in range(config.iterations):
         # error in the world's frame: with R_v <- R_v exp(d_v), d_b - d_a should equal it

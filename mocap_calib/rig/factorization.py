@@ -12,7 +12,6 @@ from mocap_calib.config import (
     FACTORIZATION_LEAST_PX,
     FACTORIZATION_OUTLIER,
     FACTORIZATION_POINTS,
-    FACTORIZATION_ROUNDS,
     FACTORIZATION_SWEEPS,
     FACTORIZATION_VIEWS,
 )
@@ -60,17 +59,16 @@ def _image_points(sample: Sample, matches: Matches) -> Floats:
 def _points_that_fit(pixels: Floats) -> Ints:
     """Return the indices `[point]` of the points that three dimensions explain.
 
-    Detectors are sometimes wrong by much: points with a large residual are left out, in rounds.
+    Detectors are sometimes wrong by much: points with a large residual are left out, until all fit.
     """
     kept = np.arange(pixels.shape[1])
-    for _ in range(FACTORIZATION_ROUNDS):
+    while True:
         _, residual = _factorise_affine(pixels[:, kept])
         limit = max(FACTORIZATION_OUTLIER * np.median(residual), FACTORIZATION_LEAST_PX)
         fits = residual <= limit
         if fits.all() or fits.sum() < FACTORIZATION_POINTS:
-            break
+            return kept
         kept = kept[fits]
-    return kept
 
 
 def _factorise_affine(pixels: Floats) -> tuple[Floats, Floats]:

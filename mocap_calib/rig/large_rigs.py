@@ -61,7 +61,7 @@ def calibrate_view_graph(
         if asked.sum() == len(all_pairs(views)) or number == graph.rounds:
             break
         confirmed = confirmed_pairs(calibrated, views, config.averaging)
-        partners = graph.least_confirmed * 2**number
+        partners = graph.partners * 2**number
         wanted = pairs_to_grow(confirmed, covisible, asked, partners=partners, config=graph)
         if not wanted:
             break
@@ -113,8 +113,8 @@ def pairs_to_grow(
     pairs that are left: what was chosen sees too little in common, and of many wrong pairs some
     close triangles by chance.
 
-    A view with fewer confirmed pairs than `config.least_confirmed` gets so many more partners, and
-    so does each part of the graph that fewer than `config.least_bridges` confirmed pairs join to
+    A view with fewer confirmed pairs than `config.partners` gets so many more partners, and
+    so does each part of the graph that fewer than `config.partners` confirmed pairs join to
     the rest. Those come first that see most in common.
 
     asked: `[view, view]` which pairs a < b were calibrated.
@@ -124,7 +124,7 @@ def pairs_to_grow(
     if confirmed.sum() / 2 < config.least_confirmed_share * asked.sum():
         return _list_pairs(free)
     joined = np.zeros((views, views), dtype=bool)
-    for view in np.flatnonzero(confirmed.sum(1) < config.least_confirmed):
+    for view in np.flatnonzero(confirmed.sum(1) < config.partners):
         ranked = _rank_partners(covisible[view], free[view])
         joined[view, ranked[:partners]] = True
     for inside in _weak_parts(confirmed, config):
@@ -148,7 +148,7 @@ def _weak_parts(confirmed: Bools, config: ViewGraphConfig) -> list[Bools]:
         return [part == number for number in several if sizes[number] < len(part)]
     inside: Bools = np.asarray(fiedler_vector(confirmed.astype(np.float64)) > 0)
     bridges = confirmed[inside][:, ~inside].sum()
-    return [inside] if bridges < config.least_bridges else []
+    return [inside] if bridges < config.partners else []
 
 
 def _rank_partners(covisible: Floats, allowed: Bools) -> Ints:

@@ -193,7 +193,7 @@ def closure_of(hypotheses: PairHypotheses, triangles: Ints, config: AveragingCon
     gap2 = (gap**2).sum(-1) / np.maximum(mean_length2, 1e-12)
 
     # three pairs add their errors, hence the thirds
-    rotation_misfit = (angle / np.deg2rad(config.rotation_scale_deg)) ** 2 / 3
+    rotation_misfit = (angle / np.deg2rad(config.scale_deg)) ** 2 / 3
     translation_misfit = gap2 / config.translation_scale**2 / 3
     return 1 / (1 + rotation_misfit) / (1 + translation_misfit)
 

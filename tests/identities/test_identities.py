@@ -215,7 +215,7 @@ def test_bodies_are_measured_in_their_pieces():
     """The lengths of all pieces are those of their bodies: measured 3 %."""
     points = two_walkers_with_a_gap()
     pieces = cut_into_pieces(points, np.arange(80), MatchingConfig())
-    found = measure_bones(points, pieces)
+    found = measure_bones(points, pieces, 500)
     (small, large), again = pieces.number[10], pieces.number[60]
     assert found.mean.shape[1] == JOINTS - 1
     np.testing.assert_allclose(found.mean[large] - found.mean[small], np.log(1.3), atol=0.06)

@@ -1,6 +1,7 @@
 """Groups of detections and their labels: laws on random affinities, and scenes with truth."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scenes import lifted, precision, recording, scene
@@ -83,8 +84,10 @@ def test_frames_are_grouped_independently():
 def test_blocks_of_frames_make_the_labels_of_all_at_once(monkeypatch):
     sample, rig, config = recording(), scene().rig, Config()
     found = []
-    for pairs in (10**9, 1000, 1):  # all frames at once, some of them, each alone
-        monkeypatch.setattr(association, "_LIFTED_PAIRS", pairs)
+    frames = len(sample.frames)
+    for blocks in (1, 3, frames):  # all frames at once, some of them, each alone
+        cut = partial(np.array_split, np.arange(frames), blocks)
+        monkeypatch.setattr(association, "_cut_into_blocks", lambda *_, cut=cut: cut())
         found.append(associate(sample, lifted(), rig, config, progress=silent).labels)
     assert (found[0] >= 0).any()
     np.testing.assert_array_equal(found[1], found[0])

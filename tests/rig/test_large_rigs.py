@@ -139,7 +139,7 @@ def test_chosen_pairs_make_the_rig_that_all_pairs_make():
     What is found of a pair does not depend on which others are asked for.
     """
     changes = {"cameras": 9, "people": 2, "frames": 40}
-    few = ViewGraphConfig(small_rig=5, partners=2, least_confirmed=2, least_bridges=2)
+    few = ViewGraphConfig(small_rig=5, partners=2)
 
     def calibrate(**options) -> tuple[PairwiseCalibration, ...]:
         config = Config(view_graph=replace(few, **options))
