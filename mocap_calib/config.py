@@ -74,11 +74,10 @@ class PairwiseConfig:
     possible_matches: int = 6000  # in all frames; crowds get fewer frames
     # the search
     candidates_searched: int = 400  # rotations that are scored on all frames
-    hypotheses_searched: int = 8  # the best of them, which are aligned
+    hypotheses_searched: int = 9  # the best of them, which are aligned; and of pairs of tracks
     hypotheses_refined: int = 3  # to the end: the answer and its alternatives
     separation_deg: float = 15.0  # between hypotheses
     # five-point RANSAC where identities are known
-    track_pairs: int = 9  # at most; of tracks in both views
     five_point_draws: int = 3  # each with half the tolerance of the one before,
     five_point_matches: int = 60  # so many matches each, of one individual
     # affinity

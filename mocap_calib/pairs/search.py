@@ -1,21 +1,30 @@
-"""Search of the relative poses of two views: by lifted bodies, and by five points.
+"""Search, score and refine the relative poses of two views.
 
 Two lifted bodies give a rotation in closed form; five-point RANSAC gives more where it is known
-which detections belong to one individual.
+which detections belong to one individual. All are scored on all frames, and refined on their
+matches.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import product
 
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import five_point
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.pairs.affinity import body_agreement, mutual_best, nearest_reading
-from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
-from mocap_calib.types import Floats, Ints
+from mocap_calib.kernels import pair_refinement
+from mocap_calib.kernels.affinity import share_in_front
+from mocap_calib.kernels.loading import contiguous
+from mocap_calib.pairs.affinity import (
+    body_agreement,
+    match_affinity,
+    mutual_best,
+    nearest_reading,
+    pose_variance,
+)
+from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian, matched_rays
+from mocap_calib.types import Bools, Floats, Ints
 
 _CELLS = 2_000_000  # hypotheses x possible matches scored at a time, for memory
 
@@ -161,7 +170,9 @@ def _known_identities(pair: ViewPair, tracked: bool, config: PairwiseConfig) -> 
     subject, where half of the frames or more are such.
     """
     if tracked:
-        return _pairs_of_tracks(pair)[: config.track_pairs]
+        together = pair.a.present[:, :, None] & pair.b.present[:, None]
+        rows, tracks = np.argwhere(together), np.argwhere(together.any(0))
+        return [rows[(rows[:, 1:] == each).all(1)] for each in tracks[: config.hypotheses_searched]]
     alone = (pair.a.present.sum(1) == 1) & (pair.b.present.sum(1) == 1)
     frames = np.flatnonzero(alone)
     if 2 * len(frames) < len(pair.frames):
@@ -169,18 +180,6 @@ def _known_identities(pair: ViewPair, tracked: bool, config: PairwiseConfig) -> 
     i = pair.a.present[frames].argmax(1)
     j = pair.b.present[frames].argmax(1)
     return [np.column_stack([frames, i, j])]
-
-
-def _pairs_of_tracks(pair: ViewPair) -> list[Ints]:
-    """Return the matches `[match, 3]` of each track in a with each in b, where both are seen."""
-    matches = []
-    instances_a, instances_b = pair.a.present.shape[1], pair.b.present.shape[1]
-    for i, j in product(range(instances_a), range(instances_b)):
-        frames = np.flatnonzero(pair.a.present[:, i] & pair.b.present[:, j])
-        if len(frames):
-            track_i, track_j = np.full(len(frames), i), np.full(len(frames), j)
-            matches.append(np.column_stack([frames, track_i, track_j]))
-    return matches
 
 
 def _from_five_points(
@@ -204,3 +203,126 @@ def _from_five_points(
         translation=np.reshape([translation for _, translation in found], (-1, 3)),
         source=("five-point",) * len(found),
     )
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Hypotheses, their matches and their scores.
+
+    matched: `[M, frame, I, J]` matches under each hypothesis.
+    score: `[M]` in 0..1, see `score_hypotheses`.
+    in_front: `[M]` in 0..1, share of the matched joints in front of both cameras.
+    """
+
+    hypotheses: Hypotheses
+    matched: Bools
+    score: Floats
+    in_front: Floats
+
+    def __getitem__(self, index: Ints) -> "Scored":
+        return Scored(
+            hypotheses=self.hypotheses[index],
+            matched=self.matched[index],
+            score=self.score[index],
+            in_front=self.in_front[index],
+        )
+
+    def __add__(self, other: "Scored") -> "Scored":
+        return Scored(
+            hypotheses=self.hypotheses + other.hypotheses,
+            matched=np.concatenate([self.matched, other.matched]),
+            score=np.concatenate([self.score, other.score]),
+            in_front=np.concatenate([self.in_front, other.in_front]),
+        )
+
+
+def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Scored:
+    """Match the detections under each hypothesis, and score it by its matches.
+
+    The pair score is the share of the possible matches that are made, each weighted by the share
+    of its joints that fit the epipolar geometry, x the share of joints in front of both cameras
+    x the square root of the mean agreement of the lifted poses, by which bodies count as much as
+    in the affinity of a match: rays are measured, bodies are predicted from the same keypoints.
+    """
+    rotation, translation = hypotheses.rotation, hypotheses.translation
+    affinity, fit, pose = match_affinity(pair, rotation, translation, config)
+    matched = mutual_best(affinity)
+    in_front = np.zeros(len(hypotheses))
+    of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
+    share_in_front(*contiguous(rotation, translation, *of_views, matched), in_front)
+    possible = np.minimum(pair.a.present.sum(-1), pair.b.present.sum(-1)).sum()
+    explained = (matched * fit).sum((1, 2, 3)) / max(possible, 1)
+    agreement = (matched * pose).sum((1, 2, 3)) / np.maximum(matched.sum((1, 2, 3)), 1)
+    return Scored(hypotheses, matched, explained * in_front * np.sqrt(agreement), in_front)
+
+
+def refine_scored(
+    pair: ViewPair, scored: Scored, config: PairwiseConfig, rng: np.random.Generator
+) -> Scored:
+    """Refine each hypothesis on its matches; keep the step where the score does not fall."""
+    hypotheses = scored.hypotheses
+    found = [matched_rays(pair, matched) for matched in scored.matched]
+    rays = [of_one[rng.permutation(len(of_one))[: config.points]] for of_one in found]
+    size = max(map(len, rays))
+    if size == 0:
+        return scored
+    sums = [
+        _body_sums(pair, *each, config)
+        for each in zip(hypotheses.rotation, scored.matched, strict=True)
+    ]
+    rotation, translation = refine_poses(
+        hypotheses.rotation,
+        hypotheses.translation,
+        config,
+        rays=np.stack([of_one.in_blocks(size) for of_one in rays]),
+        cross=np.stack([cross for cross, _ in sums]),
+        inertia=np.array([inertia for _, inertia in sums]),
+    )
+    moved = replace(hypotheses, rotation=rotation, translation=translation)
+    refined = score_hypotheses(pair, moved, config)
+    each = np.arange(len(hypotheses))
+    better = refined.score >= scored.score
+    return (scored + refined)[each + len(each) * better]
+
+
+def _body_sums(
+    pair: ViewPair, rotation: Floats, matched: Bools, config: PairwiseConfig
+) -> tuple[Floats, float]:
+    """Return sum w X_a X_b' `[3, 3]` and sum w (|X_a|^2 + |X_b|^2) / 2 over lifted matches.
+
+    They weigh the distance of a body, of three coordinates, against the error of a ray. The errors
+    of lifted bodies are alike: n of them have the information of n / (1 + n / 2).
+    rotation: `[3, 3]`; matched: `[frame, I, J]`.
+    """
+    lifted = matched & (pair.overlap.lifted > 0)
+    if not lifted.any():
+        return np.zeros((3, 3)), 0.0
+    share = 3 / (1 + lifted.sum() / 2)
+    weight = share * config.inlier**2 / pose_variance(pair, config)[lifted]
+    cross = np.einsum("n,nij->ij", weight, nearest_reading(pair, rotation, lifted))
+    return cross, float(weight @ pair.overlap.norm[lifted] / 2)
+
+
+def refine_poses(
+    rotation: Floats,
+    translation: Floats,
+    config: PairwiseConfig,
+    *,
+    rays: Floats,
+    cross: Floats,
+    inertia: Floats,
+) -> tuple[Floats, Floats]:
+    """Minimise Sampson's error at the body, and the distance of bodies, over R and direction of t.
+
+    Gauss-Newton under a Geman-McClure loss that tightens in the first steps, as graduated
+    non-convexity does (Black and Rangarajan 1996). The length of t stays.
+
+    rotation: `[M, 3, 3]`; translation: `[M, 3]`; rays: `[M, block, 8, LANES]`; cross: `[M, 3, 3]`
+    and inertia: `[M]` of the bodies. Returns R `[M, 3, 3]` and t `[M, 3]`.
+    """
+    length = np.linalg.norm(translation, axis=-1, keepdims=True)
+    direction = translation / np.maximum(length, 1e-12)
+    widths = config.inlier * np.array(config.loss_widths)
+    rotation = rotation.copy()
+    pair_refinement.refine(rotation, direction, *contiguous(rays, cross, inertia, widths))
+    return rotation, direction * length

@@ -17,8 +17,14 @@ from mocap_calib.compute.parallel import map_in_processes, map_in_threads, singl
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import sampson_angle
 from mocap_calib.pairs.affinity import unit_essential_matrix
-from mocap_calib.pairs.refine import Scored, refine_scored, score_hypotheses
-from mocap_calib.pairs.search import Hypotheses, search_hypotheses, well_separated
+from mocap_calib.pairs.search import (
+    Hypotheses,
+    Scored,
+    refine_scored,
+    score_hypotheses,
+    search_hypotheses,
+    well_separated,
+)
 from mocap_calib.pairs.view_pair import (
     ViewPair,
     distance_ratios,
