@@ -7,6 +7,7 @@ quarter turn under which the network states the smallest standard deviations.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -32,10 +33,6 @@ from mocap_calib.results import LiftedPoses
 from mocap_calib.types import Bools, Floats, Floats32, Ints, Keypoints2D, Progress, Sample, Skeleton
 
 _BLOCK = 128  # detections at a time
-# Ends of the parts in which a sample is lifted under a direction of down, in sixteenths: most wrong
-# directions are refuted by little more than half of it.
-_RACE = np.arange(9, 17)
-
 # The directions in a view's image that may be down: as the camera says, or turned by quarters.
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
@@ -72,9 +69,8 @@ def lift(sample: Sample, lifter: Lifter, *, progress: Progress) -> LiftedPoses:
     check_joints(sample)
     rays = rays_by_joint(_confident_rays(sample), sample.vocabulary, lifter.config.joints)
     enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS  # [view, frame, instance]
-    lifting = _Lifting(rays[enough], lifter, progress)
     with single_threaded_libraries():
-        bodies = lifting.lift_views(np.nonzero(enough)[0])
+        bodies = _lift_views(rays[enough], np.nonzero(enough)[0], lifter, progress)
     return LiftedPoses(*(_spread_out(values, enough) for values in bodies))
 
 
@@ -114,73 +110,43 @@ def rays_by_joint(rays: Floats, vocabulary: Ints, joints: int) -> Floats:
     return ordered
 
 
-class _Lifting:
-    """Lifts detections of several views, rays `[B, joint, 3]`, in blocks that threads share."""
+def _lift_views(rays: Floats, view: Ints, lifter: Lifter, progress: Progress) -> _Bodies:
+    """Return the lifted bodies, in each view with its own direction of down.
 
-    def __init__(self, rays: Floats, lifter: Lifter, progress: Progress) -> None:
-        self._rays = rays
-        self._lifter = lifter
-        self._progress = progress
-        self._done = 0
+    That is the direction with the smallest median standard deviation over a sample of its
+    detections. Smaller samples chose wrongly in real recordings.
 
-    def lift_views(self, view: Ints) -> _Bodies:
-        """Return the lifted bodies, in each view with its own direction of down.
+    rays: `[B, joint, 3]`; view: `[B]` in which each detection is.
+    """
+    down = np.tile(_DOWN[0], (len(view), 1))
+    bodies = _Bodies(
+        body=np.empty(rays.shape), centre=np.empty((len(view), 3)), spread=np.empty(rays.shape[:2])
+    )
+    samples = [
+        evenly_spaced(np.flatnonzero(view == each), LIFT_UPRIGHT_SAMPLE) for each in np.unique(view)
+    ]
+    sampled = np.isin(np.arange(len(view)), np.concatenate([*samples, np.empty(0, int)]))
+    done = 0
 
-        That is the direction with the smallest median standard deviation over a sample of its
-        detections. Smaller samples chose wrongly in real recordings.
-
-        view: `[B]` in which each detection is.
-        """
-        down = np.tile(_DOWN[0], (len(view), 1))
-        bodies = _Bodies(
-            body=np.empty(self._rays.shape),
-            centre=np.empty((len(view), 3)),
-            spread=np.empty(self._rays.shape[:2]),
-        )
-        samples = [
-            evenly_spaced(np.flatnonzero(view == each), LIFT_UPRIGHT_SAMPLE)
-            for each in np.unique(view)
-        ]
-        sampled = np.isin(np.arange(len(view)), np.concatenate([*samples, np.empty(0, int)]))
-        self._lift_into(bodies, np.flatnonzero(sampled), down)
-        others = [(index, other, bodies.doubt(index)) for index in samples for other in _DOWN[1:]]
-        for (index, other, _), found in zip(
-            others, map_in_threads(self._race, others), strict=True
-        ):
-            if found is not None and found.doubt() < bodies.doubt(index):
-                bodies.put(index, found)
-                down[view == view[index[0]]] = other
-        self._lift_into(bodies, np.flatnonzero(~sampled), down)
-        return bodies
-
-    def _lift_into(self, bodies: _Bodies, index: Ints, down: Floats) -> None:
-        """Lift the detections of an index, each with its direction `[B, 3]` of down."""
-
-        def lift_block(block: Ints) -> _Bodies:
-            """Lift the detections of an index."""
-            return _lift_rays(self._rays[block], down[block], self._lifter)
-
+    def lift_into(index: Ints) -> None:
+        """Lift the detections of an index in blocks, each with its direction of down."""
+        nonlocal done
         blocks = [index[start : start + _BLOCK] for start in range(0, len(index), _BLOCK)]
-        for block, found in zip(blocks, map_in_threads(lift_block, blocks), strict=True):
+        lifted = map_in_threads(lambda block: _lift_rays(rays[block], down[block], lifter), blocks)
+        for block, found in zip(blocks, lifted, strict=True):
             bodies.put(block, found)
-            self._done += len(block)
-            self._progress("lift", self._done, len(self._rays))
+            done += len(block)
+            progress("lift", done, len(rays))
 
-    def _race(self, entry: tuple[Ints, Floats, float]) -> _Bodies | None:
-        """Lift a sample under a direction of down; stop once its median is sure to be too large.
-
-        entry: the index of the sample, the direction, and the median that it has to be below.
-        Returns None when more than half of the joints have a larger standard deviation.
-        """
-        index, down, least = entry
-        parts: list[_Bodies] = []
-        less_sure = 0
-        for part in np.split(index, np.unique(_RACE * len(index) // _RACE[-1])[:-1]):
-            parts.append(_lift_rays(self._rays[part], down, self._lifter))
-            less_sure += int((parts[-1].spread >= least).sum())
-            if 2 * less_sure > len(index) * self._rays.shape[1]:
-                return None
-        return _Bodies(*map(np.concatenate, zip(*parts, strict=True)))
+    lift_into(np.flatnonzero(sampled))
+    others = list(product(samples, _DOWN[1:]))
+    lifted = map_in_threads(lambda each: _lift_rays(rays[each[0]], each[1], lifter), others)
+    for (index, other), found in zip(others, lifted, strict=True):
+        if found.doubt() < bodies.doubt(index):
+            bodies.put(index, found)
+            down[view == view[index[0]]] = other
+    lift_into(np.flatnonzero(~sampled))
+    return bodies
 
 
 def _lift_rays(rays: Floats, down: Floats, lifter: Lifter) -> _Bodies:

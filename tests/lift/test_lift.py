@@ -19,7 +19,6 @@ from mocap_calib.lift.lift import (
     _confidence_of_lifted,
     _confident_rays,
     _lift_rays,
-    _Lifting,
     lift,
 )
 from mocap_calib.lift.lifter import _LARGEST_SCORE, _attend
@@ -146,20 +145,6 @@ def test_joints_are_lifted_by_the_confidence_that_their_view_reaches_at_its_best
     rays = _confident_rays(sample)
     np.testing.assert_array_equal(_confident_rays(small), rays)
     assert np.isfinite(rays).sum() > 0.9 * np.isfinite(sample.rays).sum()
-
-
-def test_a_direction_is_given_up_only_when_it_is_no_better():
-    """As the median of the whole sample tells, whatever median is to be beaten."""
-    rng = np.random.default_rng(0)
-    lifter = load_lifter()[0]
-    rays = rng.normal(0, 0.4, (50, lifter.config.joints, 3)) + [0, 0, 6.0]
-    rays[rng.random(rays.shape[:2]) < 0.4] = np.nan
-    lifting, index = _Lifting(rays, lifter, silent), np.arange(50)[::2]
-    doubt = _lift_rays(rays[index], _DOWN[1], lifter).doubt()
-    for least in doubt * np.array([0.5, 0.8, 0.95, 0.9999]):
-        assert lifting._race((index, _DOWN[1], least)) is None
-    for least in doubt * np.array([1.0001, 1.2, 2.0]):
-        assert lifting._race((index, _DOWN[1], least)).doubt() == pytest.approx(doubt, abs=1e-6)
 
 
 def test_views_that_see_nobody_are_not_lifted():
