@@ -24,7 +24,6 @@ from mocap_calib.types import Bools, Floats, Ints
 
 _LAGS = (1, 2, 4, 8, 16, 32, 64)  # frames after which it is measured how far bodies go
 _STEPS = 3  # that a velocity is a mean of
-_ROUGH = 0.05  # share of bodies at the ends of pieces that are triangulated badly
 
 
 def join_pieces(
@@ -200,20 +199,10 @@ def motion_evidence(
     distance[without] = np.linalg.norm(begin - end, axis=-1)[without]
     scale[without] = np.minimum(scale[without] + apart / 4, apart)
     nats = surprise(distance, apart) + 3 * np.log(apart)
-    nats -= _mixed_surprise(distance, scale, np.maximum(scale, apart / 5))
+    nats -= surprise(distance, scale) + 3 * np.log(scale)
     nats /= 1 + _pieces_between(first, last, (earlier, later))
     evidence[earlier, later] = evidence[later, earlier] = nats
     return evidence
-
-
-def _mixed_surprise(distance: Floats, scale: Floats, rough: Floats) -> Floats:
-    """Return how unlikely distances are where some bodies are triangulated badly, in nats.
-
-    These are off by `rough`.
-    """
-    usual = np.log1p(-_ROUGH) - surprise(distance, scale) - 3 * np.log(scale)
-    wrong = np.log(_ROUGH) - surprise(distance, rough) - 3 * np.log(rough)
-    return -np.logaddexp(usual, wrong)
 
 
 def _pieces_between(first: Ints, last: Ints, pairs: tuple[Ints, Ints]) -> Ints:

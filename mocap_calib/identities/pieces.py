@@ -12,7 +12,6 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LEAST_JOINTS, MatchingConfig
-from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints
 
@@ -83,19 +82,17 @@ def surprise(distance: Floats, scale: Floats | float) -> Floats:
     return 3 * np.log1p((distance / scale) ** 2 / 3)
 
 
-def step_distances(points: Floats, moved: Floats) -> Floats:
+def step_distances(points: Floats) -> Floats:
     """Return how far each group is from each of the next frame, `[frame - 1, group, group]`.
 
-    points: `[frame, group, joint, 3]`. moved: `[frame, group, 3]` what each is expected to move by
-    until the next frame.
+    points: `[frame, group, joint, 3]`.
     """
     frames, groups = points.shape[:2]
     distance = np.empty((max(frames - 1, 0), groups, groups))
 
     def measure(block: slice) -> None:
         later = points[block.start + 1 : block.stop + 1]
-        expected = points[block] + moved[block, :, None]
-        distance[block] = rms_distance(expected[:, :, None], later[:, None])
+        distance[block] = rms_distance(points[block][:, :, None], later[:, None])
 
     do_in_threads(measure, mapped.frame_slices(frames - 1, _FRAMES))
     return distance
@@ -114,19 +111,11 @@ def cut_into_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> Pie
     """Follow the groups of each frame into the next as far as that is certain.
 
     points: `[frame, group, joint, 3]`, NaN = missing; frames: `[frame]` numbers.
-
-    Where bodies keep on moving as they did, which is tried, they are expected where they go.
     """
     present = mapped.in_blocks(
         lambda block: np.isfinite(points[block, ..., 0]).any(-1), len(points)
     )
-    still = np.zeros((*points.shape[:2], 3))
-    next_to = _follows(frames)[:, None, None]
-    distance = np.where(next_to, step_distances(points, still), np.inf)
-    moved = _last_moves(points, _nearest_both_ways(distance))
-    going_on = np.where(next_to, step_distances(points, moved), np.inf)
-    if usual_step(going_on) < usual_step(distance):
-        distance = going_on
+    distance = np.where(_follows(frames)[:, None, None], step_distances(points), np.inf)
     links = _certain_links(distance, config)
     return _number_pieces(links, present, distance)
 
@@ -145,17 +134,6 @@ def _nearest_both_ways(distance: Floats) -> Bools:
         distance == distance.min(-2, keepdims=True)
     )
     return nearest & np.isfinite(distance)
-
-
-def _last_moves(points: Floats, links: Bools) -> Floats:
-    """Return what groups moved by since the frame before, `[frame, group, 3]`; 0 = not known."""
-    moves = np.zeros((*points.shape[:2], 3))
-    for block in mapped.frame_slices(len(links)):
-        frame, before, after = np.nonzero(links[block])
-        frame += block.start
-        step = points[frame + 1, after] - points[frame, before]
-        moves[frame + 1, after] = np.nan_to_num(mean_of_known(step, axis=-2))
-    return moves
 
 
 def _certain_links(distance: Floats, config: MatchingConfig) -> Bools:
