@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from mocap_calib.compute import BLAS_THREADS
+from mocap_calib.compute import BLAS_THREADS, identify_program
 from mocap_calib.compute.parallel import thread_count
-from mocap_calib.compute.program import identify_program
 from mocap_calib.config import Config
 from mocap_calib.errors import MocapCalibError
 from mocap_calib.kernels.loading import compile_ahead

@@ -18,7 +18,7 @@ from mocap_calib.adjust.intrinsics import estimate_cameras
 from mocap_calib.adjust.refine import adjust_from_best_start
 from mocap_calib.clocks.estimate import calibrate_on_clocks, estimate_clocks
 from mocap_calib.clocks.subframe import synchronise_detections
-from mocap_calib.compute.clock import Clock
+from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, Refinement
 from mocap_calib.errors import DegenerateError

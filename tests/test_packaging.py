@@ -20,7 +20,7 @@ import yaml
 from scenes import scene
 
 from mocap_calib import __version__
-from mocap_calib.compute.program import identify_program
+from mocap_calib.compute import identify_program
 from mocap_calib.io.results.scene import write_scene
 
 ROOT = Path(__file__).parents[1]

@@ -6,7 +6,7 @@ import os
 import sys
 from typing import NoReturn
 
-from mocap_calib.compute.memory import keep_freed_memory
+from mocap_calib.compute import keep_freed_memory
 from mocap_calib_cli.main import main
 
 # objects made before they are searched for cycles, of which there are next to none: Python's own

@@ -7,7 +7,6 @@ import numpy as np
 
 from mocap_calib.adjust.residuals import PixelResiduals, RayResiduals, Residuals, State
 from mocap_calib.adjust.solve import Parameters, minimise
-from mocap_calib.compute.parallel import do_both
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.intersection import order_by_views
@@ -171,10 +170,8 @@ def problem_of_frames(
     The least confident detections of each view are left out: detectors repeat their errors from
     frame to frame, so that these do not average out.
     """
-    (noise, errors), tracks = do_both(
-        lambda: measure_residuals(recording, rig, matches, config.triangulate),
-        lambda: gather_tracks(recording, matches, frames),
-    )
+    noise, errors = measure_residuals(recording, rig, matches, config.triangulate)
+    tracks = gather_tracks(recording, matches, frames)
     weight = drop_low_confidence(tracks.weight, config.adjust)
     tolerant = replace(config.triangulate, outlier=config.adjust.outlier)
     points, used = triangulate_rays(rig, tracks.rays, weight=weight, noise=noise, config=tolerant)

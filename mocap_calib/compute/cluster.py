@@ -20,7 +20,7 @@ from distributed.comm.core import CommClosedError
 from distributed.protocol.pickle import dumps, loads
 from distributed.security import Security
 
-from mocap_calib.compute.program import identify_program
+from mocap_calib.compute import identify_program
 from mocap_calib.errors import ClusterError
 
 T = TypeVar("T")

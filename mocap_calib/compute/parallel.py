@@ -23,8 +23,6 @@ from mocap_calib.errors import ClusterError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-First = TypeVar("First")
-Second = TypeVar("Second")
 
 
 def thread_count() -> int:
@@ -110,34 +108,6 @@ def do_in_threads(function: Callable[[Item], None], items: Iterable[Item]) -> No
     """Call `function` with every item, on the threads of `map_in_threads`."""
     for _ in map_in_threads(function, items):
         pass
-
-
-def do_both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
-    """Return what two calls return that need nothing of each other, made at the same time.
-
-    Both spread what they can over the same threads, and while one does what cannot be spread, the
-    threads work for the other. What is asked for in either of them is done one after the other.
-    Raises what the first raises, or else the second, when both have ended; an interruption at once.
-    """
-    busy = getattr(_THREAD, "of_the_pool", False) or getattr(_THREAD, "of_two", False)
-    if thread_count() == 1 or busy:
-        return first(), second()
-    beside = ThreadPoolExecutor(1, initializer=_mark_one_of_two)
-    call, waits = beside.submit(second), True
-    _mark_one_of_two()
-    try:
-        return first(), call.result()
-    except KeyboardInterrupt:
-        waits = False
-        raise
-    finally:
-        _THREAD.of_two = False
-        beside.shutdown(wait=waits)
-
-
-def _mark_one_of_two() -> None:
-    """Mark the thread as one of the two of `do_both`."""
-    _THREAD.of_two = True
 
 
 _THREAD = threading.local()

@@ -18,8 +18,7 @@ from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 from typing import Any, BinaryIO, TypeVar, TypeVarTuple, cast
 
-from mocap_calib.compute import BLAS_THREADS
-from mocap_calib.compute.memory import keep_freed_memory
+from mocap_calib.compute import BLAS_THREADS, keep_freed_memory
 from mocap_calib.errors import MocapCalibError
 
 Arguments = TypeVarTuple("Arguments")

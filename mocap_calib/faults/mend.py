@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.compute.parallel import do_both
 from mocap_calib.config import Config, MendConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.exchanged import find_exchanged_cameras
@@ -115,8 +114,7 @@ def find_explanations(
         )
         return (exchanged,) if exchanged else find_odd_cameras(observed, result, config)
 
-    moved, odd = do_both(find_moved, find_in_files)
-    return moved, *odd
+    return find_moved(), *find_in_files()
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.compute.program import identify_program
+from mocap_calib.compute import identify_program
 from mocap_calib.config import PAIR_SOLVERS, Config
 from mocap_calib.errors import ClusterError, MocapCalibError
 from mocap_calib.io.cameras.read import load_cameras, parse_content

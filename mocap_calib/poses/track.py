@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.compute.medians import known_medians
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import PosesConfig, TriangulateConfig
 from mocap_calib.geometry.lens import rays_in_world
+from mocap_calib.recording.sampling import known_medians
 from mocap_calib.results import POINT_SOURCES, Matches, Poses3D
 from mocap_calib.rig.tracks import Tracks
 from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames

@@ -13,11 +13,10 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.medians import known_medians
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.epipolar import plane_errors
 from mocap_calib.geometry.lens import unproject_views
-from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.recording.sampling import evenly_spaced, known_medians
 from mocap_calib.results import Check, GroupResult
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.tracks import labelled_frames, matched_share

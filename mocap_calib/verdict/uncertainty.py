@@ -22,7 +22,7 @@ from mocap_calib.adjust.refine import (
     measure_fit,
 )
 from mocap_calib.adjust.rig_covariance import rig_covariance
-from mocap_calib.compute.parallel import do_both, single_threaded_libraries
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import DECISIVE_NATS, Config, IntrinsicsConfig, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
@@ -43,13 +43,9 @@ def assess_uncertainty(
 
     Few frames accuse no camera: standard deviations over time are too small then.
     """
-    (fit, covariance), free = do_both(
-        lambda: (
-            measure_fit(sample, rig, matches, config),
-            rig_covariance(sample, rig, matches, config),
-        ),
-        lambda: _free_focal(sample, rig, matches, config),
-    )
+    fit = measure_fit(sample, rig, matches, config)
+    covariance = rig_covariance(sample, rig, matches, config)
+    free = _free_focal(sample, rig, matches, config)
     off = _intrinsics_changes(sample, rig, matches, config, free=free)
     unknown = np.full(len(rig.cameras), np.nan)
     given = None if _any_estimated(rig) else free  # nobody is accused of what was estimated

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.compute.clock import Clock
+from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import EPOCH_MARK, Config
 from mocap_calib.pairs.solve import in_recording

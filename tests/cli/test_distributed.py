@@ -19,8 +19,8 @@ from scenes import scene
 from test_batch import contents
 
 from mocap_calib import __version__
+from mocap_calib.compute import identify_program
 from mocap_calib.compute.cluster import _compute
-from mocap_calib.compute.program import identify_program
 from mocap_calib.errors import ClusterError
 from mocap_calib.io.results.scene import write_scene
 

@@ -12,7 +12,7 @@ from platforms import linux
 FAULTS = """
 import resource, sys
 import numpy as np
-from mocap_calib.compute.memory import keep_freed_memory
+from mocap_calib.compute import keep_freed_memory
 if sys.argv[1] == "kept":
     keep_freed_memory()
 for turn in range(12):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mocap_calib.compute.medians import known_medians
+from mocap_calib.recording.sampling import known_medians
 
 
 def test_medians_of_rows_with_gaps_are_those_of_numpy():
