@@ -26,7 +26,7 @@ from mocap_calib.errors import ClusterError
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
-from mocap_calib.job import request
+from mocap_calib.job import steps
 from mocap_calib.job.load import KeypointSource
 from mocap_calib.job.steps import CalibrationRequest, find_finished
 from mocap_calib.pairs.solve import calibrate_pairs
@@ -267,14 +267,14 @@ def other_config(asked: CalibrationRequest, _) -> CalibrationRequest:
 
 
 def other_weights(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
-    monkeypatch.setattr(request, "identify_model", lambda _: "0" * 64)
+    monkeypatch.setattr(steps, "identify_model", lambda _: "0" * 64)
     return asked
 
 
 def other_code(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
     """The same version, as after a change of the checkout."""
     same_version = f"{__version__} (code {'0' * 12})"
-    monkeypatch.setattr(request, "identify_program", lambda: same_version)
+    monkeypatch.setattr(steps, "identify_program", lambda: same_version)
     return asked
 
 
