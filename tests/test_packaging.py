@@ -119,7 +119,7 @@ def test_the_wheel_works_by_itself(wheel, tmp_path):
 
     made = scene(cameras=2, people=1, frames=20)
     write_scene(tmp_path / "elsewhere", made, "made by a test")
-    where = "from mocap_calib.compute import program as p; print(p.__file__, p.identify_program())"
+    where = "from mocap_calib import compute as p; print(p.__file__, p.identify_program())"
     file, _, program = run(programs / "python", "-P", "-c", where).strip().partition(" ")
     assert Path(file).is_relative_to(tmp_path / "empty")
     assert program == identify_program()  # the same code as in the checkout
