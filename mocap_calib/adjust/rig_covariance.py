@@ -111,10 +111,10 @@ def covariance_of(fitted: FittedRig, config: Config) -> RigCovariance:
     # bend^4: what parts of the errors do beyond first order, all of them together do once more.
     usual = config.uncertainty.usual_bend
     bend = np.sqrt(variance_of_parts(fitted, config) / max(of_time, 1e-30))
-    frames = distinct_frames(fitted.problem)
+    frames, matched = distinct_frames(fitted.problem), np.unique(fitted.problem.tracks.frame)
     if frames == 1:  # it has no parts
         bend = usual
-    elif frames >= config.uncertainty.time_blocks:  # chance alone makes it as large
+    elif len(matched) >= config.uncertainty.time_blocks:  # chance alone makes it as large
         bend /= usual
     degrees = _degrees_of_freedom(fitted, of_time, of_joints, config)
     # a single frame does not show what all its joints have in common: it counts twice
