@@ -26,6 +26,7 @@ from recording_folders import add_recordings
 from recordings import NAMES
 from scipy.stats import chi2
 
+from mocap_calib.config import VERDICT_LIMITS_DEG
 from mocap_calib.errors import MocapCalibError
 from mocap_calib.pipeline import calibrate
 from mocap_calib.results import VERDICTS
@@ -42,7 +43,7 @@ RATIO_FREE = ("mvor_openpose",)  # reference and people's joints are apart there
 RIGHT = 0.95  # share of the verdicts
 # error of the worst pair of cameras above which a verdict is wrong: three times what it promises,
 # and of a weak rig what nobody would still call a rig
-MOST_DEG = {"well determined": 3.0, "usable": 9.0, "weak": 30.0, "not determined": np.inf}
+MOST_DEG = dict(zip(VERDICTS, (*(3 * limit for limit in VERDICT_LIMITS_DEG), np.inf), strict=True))
 GOOD_DEG = 1.0  # below it, a sound recording must not be called not determined
 
 

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from math import radians
 from typing import Literal, get_args
 
-DECISIVE_NATS = 3.0  # of evidence: odds of 20 to 1
+# nats, odds of 20 to 1: evidence from which on a hypothesis about a camera is accepted, of any kind
+DECISIVE_NATS = 3.0
+
 SMALL_RIG = 17  # cameras: of up to so many nearly all see the same bodies
 
 LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
@@ -418,80 +420,41 @@ class CameraFitConfig:
 
 @dataclass(frozen=True)
 class DiagnosisConfig:
-    """Which camera is odd, and what explains it.
+    """Which camera's input is wrong, and how.
 
-    A gain is what an explanation lowers the robust cost of a keypoint by, on average.
+    A gain is what a hypothesis lowers the robust cost of a keypoint by, on average; evidence is in
+    nats, against the input as given.
+
+    sound_focal, sound_centre: standard deviations of the intrinsics of sound cameras, of the
+        logarithm of the focal length and of the principal point in image sizes. Shelf, which is
+        sound, asks for 0.05 and 0.07. faulty_focal, faulty_centre: those of faulty ones.
+    upright_nats: evidence of a camera that lies on its side, beside upright ones, that its images
+        are rotated. upright_deg: that upright cameras roll at most.
+    exchanged_share: of the detections, whose sides are exchanged, from which on that is named.
+    frames, keypoints: that a camera is held against in its leave-one-out rig; time_blocks: within
+        which errors go together. candidates: cameras that are.
+    focal_noise: error of a keypoint, roughly, in focal lengths.
+    least_keypoints: that a camera is held against at all. least_matched: share of its detections.
+        Measured 0.45 and more where a camera is faulty, 0.05 where a rig of nearly affine cameras
+        was accused.
     """
 
     resection: ResectionConfig = ResectionConfig()
     fit: CameraFitConfig = CameraFitConfig()
-    # the rig of the other cameras
-    rounds: int = 1
-    points: int = 4000
-    frames: int = 200  # whose points a camera is held against,
-    keypoints: int = 4000  # and so many keypoints in them
-    rough_keypoints: int = 300  # that tell which explanations are worth a closer look,
-    rough_steps: int = 10  # at each loss scale, for that:
-    rough_margin: float = 1.0  # those that cost no more than this above the best
-    time_blocks: int = 20  # stretches of the recording within which errors go together
-    least_forward: float = 0.15  # z of a unit ray that is looked at
-    focal_noise: float = 0.005  # of the focal length: error of a keypoint, roughly
-
-    # what makes a camera suspicious; each may cost time but accuses nobody
-    suspicious_pairs: float = 0.8  # of the score of the others' pairs
-    suspicious_errors: float = 2.5  # times those of the others
-    suspicious_exchanged: float = 0.15  # share of its detections
-    suspicious_outside: float = 0.02  # share of its keypoints outside its images
-    suspicious_frames: int = 80  # that are looked at for it (fewer in large rigs, and at least
-    suspicious_least_frames: int = 20  # so many),
-    suspicious_keypoints: int = 1500  # and keypoints of a camera
-    # expected error of the rig of the others: with more it accuses nobody. Measured: 3.6 (where
-    # each frame counted as a moment; it is more now) and 11 of a sound recording that hardly
-    # determines them; 3.5 where two of five cameras exchange sides, which is found
-    core_deg: float = 3.6
-    axes: int = 24  # of the covariance of that rig, along which it is bent
-    axis_step: float = 1e-4  # radians and sizes of the rig: for slopes
-    # what the rig of the others must leave of the significance of unknowns. Measured: 46 and more
-    # of cropped images; at most 3.6 of a sound camera far away, around which a rig may bend
-    core_significance: float = 20.0
-    candidates: int = 5  # suspicious cameras that are looked at closely
-
-    # what an explanation must show
+    sound_focal: float = 0.02
+    sound_centre: float = 0.025
+    faulty_focal: float = 0.4
+    faulty_centre: float = 0.15
+    upright_nats: float = 7.0
+    upright_deg: float = 30.0
+    exchanged_share: float = 0.25
+    frames: int = 200
+    keypoints: int = 4000
+    time_blocks: int = 20
+    candidates: int = 5
+    focal_noise: float = 0.005
     least_keypoints: int = 100
-    # share of its detections; measured 0.45 and more where a camera is odd, 0.05 where a rig of
-    # nearly affine cameras was accused
     least_matched: float = 0.25
-    least_gain: float = 0.1  # of mirrored and exchanged sides; below it an explanation is weak
-    rival: float = 0.5  # of the evidence: so much for another camera makes a weak one ambiguous
-    least_exchanged: float = 0.25  # share of the detections whose sides are exchanged,
-    all_exchanged: float = 0.85  # and the share from which on all are
-    # of the logarithm of the network's spread, by which it rises where the sides of the one of
-    # three cameras were right. Measured: 0.05 to 0.08; where they were exchanged -0.05 to -0.08
-    # (HumanEva), 0.02 of mostly upper bodies (MVOR)
-    unnatural_sides: float = 0.03
-    # of the logarithm of the factor; beyond the largest it is another camera, or another scene
-    least_resize: float = 0.1
-    most_resize: float = 1.5
-    resize_gain: float = 0.05
-    resize_significance: float = 100.0
-    plain_factor: float = 0.12  # of the logarithm: as near to a plain factor, it is meant
-    # of focal lengths, sizes, corners, and sides of a part of the detections; measured: 3000 and
-    # more; 248 where a sound camera was accused of either
-    telling_keypoints: int = 400
-    crop_significance: float = 40.0
-    least_crop: float = 0.08  # of a side of the image; shelf, which is sound, asks for up to 0.068
-    crop_outside: float = 0.005  # share of the keypoints that a crop would have cut off
-    focal_significance: float = 40.0
-    # measured: 0.013 and more where one is wrong by 5 % and more; 0.002 of a sound one in noise
-    focal_gain: float = 0.006
-    least_focal_change: float = 0.06  # shelf, which is sound, asks for 0.052
-    most_focal_change: float = 0.7  # of its logarithm: a factor of two
-    upright_deg: float = 30.0  # that upright cameras roll at most
-    roll_deg: float = 20.0  # from a quarter turn, of a camera whose images are turned
-    # nats by which the intrinsics as given may fit better than turned ones, of independent errors
-    # of which there are as many as `effective_keypoints`
-    rotation_prior: float = 3.0
-    effective_keypoints: int = 400
 
 
 # of resized images
@@ -499,109 +462,43 @@ PLAIN_FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
 
 
 @dataclass(frozen=True)
-class ExchangedConfig:
-    """Whether two cameras have the intrinsics of each other (faults/exchanged.py).
-
-    Only pairs whose focal lengths differ can be told; exchanging equal ones does no harm.
-
-    least_difference: of the logarithms of the two focal lengths.
-    focal_systematic: error of a change of focal length beyond its standard deviation.
-    least_nats: by which the changes that the focal lengths ask for are likelier where the two are
-        exchanged. Measured: at most 0.6 in eleven sound rigs; 4.4 and 74 where two are exchanged
-        that differ by 1.7 and 11 %.
-    candidates: pairs that are tried, the likeliest first; points: of the adjustments for that.
-    least_gain: by which the robust cost of a keypoint must fall, on average, and by how many
-        standard errors over `time_blocks` stretches of time, against the files as they are and
-        against one camera with intrinsics as the other. Measured: 0.0025 and 4.2 (1.7 %), 0.02 and
-        4.8 (11 %); below 0 for other pairs, and where one focal length is wrong by 5 to 30 %.
-    """
-
-    least_difference: float = 0.01
-    focal_systematic: float = 0.01
-    least_nats: float = 2.5
-    candidates: int = 3
-    points: int = 4000
-    time_blocks: int = 20
-    least_gain: float = 0.001
-    least_significance: float = 3.0
-
-
-@dataclass(frozen=True)
 class MovedConfig:
     """Whether a camera was bumped or moved during the recording (faults/moved.py).
 
-    Shares are of the weighed squared errors of a camera, or of its robust cost.
-
-    What is looked at:
-    glanced_detections: of one camera, about, in at least `least_frames` frames that are evenly
-        spread, by which it stands out, and detections: by which it is judged.
-    least_joints: that a detection and a body have in common.
+    detections: of one camera, about, by which it is judged, in at least `least_frames` frames that
+        are evenly spread. least_joints: that a detection and a body have in common.
     least_detections: of an epoch of a camera, and least_share: of its detections.
-
-    Which cameras stand out, by their errors over time in the rig of all:
+    suspicious_gain: share of the errors that a change of the pose at one moment explains, by which
+        a camera deserves a closer look. Sound recordings: at most 0.06, and 0.12 of a fly under
+        telescopes; a camera moved by 0.2 m at 5 m: 0.07 to 0.1; bumped by 2 degrees: 0.2 to 0.8.
+    suspicious_step: the same, by which the mean cost (0..1) of its detections rises or falls at one
+        moment. Sound: at most 0.28; a bump of 20 degrees: 0.7 to 0.9.
     loose: tolerance of an error, in RMS angular sizes of a detection: wider than what a bump of a
-        few degrees makes, so that both epochs still speak.
-    suspicious_gain: share of the errors that a change of the pose at one moment explains. Sound
-        recordings: at most 0.06, and 0.12 of a fly under telescopes; a camera moved by 0.2 m at
-        5 m: 0.07 to 0.1; bumped by 2 degrees: 0.2 to 0.8.
-    suspicious_step: by which the mean cost (0..1) of its detections rises or falls at one moment.
-        Sound: at most 0.28; a bump of 20 degrees: 0.7 to 0.9.
-
-    Of those, whether another pose from one moment on explains it:
+        few degrees makes, so that both epochs still count.
     hypotheses: poses that single detections ask for.
     tolerance_noises: of an error, in standard deviations, in the end.
     steps: of Gauss and Newton, down to a tenth of the widest tolerance.
-    rounds: of poses, and of the moments between them.
     explained: cost (0..1) below which a detection is explained by the pose of the camera.
-    large_gain: by which the mean cost (0..1) falls with other poses that were proposed, for these
-        to be tried beside small steps of the present pose.
     most_changes: that are looked for in one camera.
-    least_gain: share by which the cost falls with a change, and least_evidence: that share times
-        the number of detections, so that few of them, whose errors go together, do not suffice.
-        Measured: at most 4.8 where nothing was moved (19 of the fly, see least_contrast), 10 to 16
-        of a camera moved by 0.2 m.
-    least_contrast: a change must explain so many times what one more change would: errors that
-        drift with the subject, by lenses and wrong focal lengths, fall bit by bit. Measured: 13 to
-        70 where a camera was moved; up to 4.4 of the fly under telescopes, 3 elsewhere.
-
-    most_noise: of the camera in its epochs, in angular sizes of its detections: with more, it is
-        something else that is wrong. Measured: 0.03 to 0.07; 0.32 of a camera of another recording.
-
-    In the end:
     least_angle_deg, and least_shift in sizes of the rig: a change below both is none: clocks that
-        differ by a part of a frame look like 0.1 deg and 0.004. estimated_angle_deg and
-        estimated_shift: the same where intrinsics were estimated: a lens whose k1 is wrong by 0.05
-        bends rays by 0.6 deg at the side of an image, and subjects walk from side to side.
-    candidates: cameras that are tried, each in the rig that the others make without it.
-    near_detections: on either side, among which the frame of a change is looked for.
+        differ by a part of a frame look like 0.1 deg and 0.004.
     """
 
-    least_angle_deg: float = 0.5
-    least_shift: float = 0.01
-    estimated_angle_deg: float = 1.5
-    estimated_shift: float = 0.03
-    glanced_detections: int = 120
     detections: int = 300
     least_frames: int = 40
     least_joints: int = 4
     least_detections: int = 12
     least_share: float = 0.04
-    loose: float = 0.3
     suspicious_gain: float = 0.04
     suspicious_step: float = 0.3
+    loose: float = 0.3
     hypotheses: int = 60
     tolerance_noises: float = 3.0
     steps: int = 6
-    rounds: int = 3
     explained: float = 0.5
-    large_gain: float = 0.03
     most_changes: int = 3
-    least_gain: float = 0.02
-    least_evidence: float = 8.0
-    least_contrast: float = 6.0
-    most_noise: float = 0.15
-    candidates: int = 2
-    near_detections: int = 5
+    least_angle_deg: float = 0.5
+    least_shift: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -633,27 +530,12 @@ class VerifyConfig:
 
 @dataclass(frozen=True)
 class MendConfig:
-    """What is done where files of a camera are wrong.
+    """What is done where the input of a camera is wrong.
 
-    apply: they are mended for this run where there is one right way; else they are only named.
-    rounds: of finding and mending faults: one may hide another.
-    refuting_loss: share of the detections that are explained no more with a mend: the fault was
-        none. With less it is named, and not mended. Measured: 0.009 of a sound camera that sees
-        somebody lie; six that were cropped gain 0.0008 to 0.068.
-    least_gross_gain: share of the detections that mended images, which were mirrored or resized,
-        must explain beyond the files as they are; with less the fault was none. Measured: 0.031 and
-        more; 0.019 and 0.006 of a sound camera with hallucinated keypoints.
-    moved_margin: share of the detections that a move of a camera must explain beyond its rivals:
-        with one more pose anything fits a little better. Measured: 0.013 beyond the right
-        explanation in a rig of three cameras; 0.15 where one was bumped by 2 degrees, 0.01 where
-        one was moved by 0.2 m, without a rival.
+    apply: it is corrected for this run; else it is only named.
     """
 
     apply: bool = True
-    rounds: int = 3
-    refuting_loss: float = 0.005
-    least_gross_gain: float = 0.025
-    moved_margin: float = 0.01
 
 
 MENDING = ("auto", "none")  # whether faults are mended; the first is the default
@@ -852,7 +734,6 @@ class Config:
     poses: PosesConfig = PosesConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     moved: MovedConfig = MovedConfig()
-    exchanged: ExchangedConfig = ExchangedConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
     verify: VerifyConfig = VerifyConfig()
     mend: MendConfig = MendConfig()

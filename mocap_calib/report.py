@@ -9,8 +9,7 @@ import numpy as np
 from mocap_calib import __version__, mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import IntrinsicsConfig
-from mocap_calib.faults.clock_faults import describe_clock
-from mocap_calib.faults.words import describe_faults
+from mocap_calib.faults.words import describe_clock, describe_faults
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.world_fields import world_fields
 from mocap_calib.recording.timeline import describe_epochs, views_by_camera

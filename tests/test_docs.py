@@ -15,6 +15,7 @@ from urllib.parse import unquote, urlsplit
 import click
 import pytest
 
+from mocap_calib.config import VERDICT_LIMITS_DEG
 from mocap_calib_cli.main import group
 
 ROOT = Path(__file__).parents[1]
@@ -174,3 +175,10 @@ def test_links_of_the_site_lead_somewhere(site):
 def test_pages_ask_no_other_server_for_anything(site):
     for path in site.glob("*.html"):
         assert re.findall(r'<(?:script|img|link)[^>]*(?:src|href)="https?:', path.read_text()) == []
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/how-good.md", "web/src/explain.ts"])
+def test_pages_state_the_limits_of_the_verdict(page):
+    text = (ROOT / page).read_text("utf-8")
+    stated = re.findall(r"below (\d+)(?: deg|°)", text)
+    assert [float(number) for number in stated[:3]] == list(VERDICT_LIMITS_DEG)

@@ -20,7 +20,7 @@ from mocap_calib.adjust.resection import (
     refine_poses,
     typical_error,
 )
-from mocap_calib.config import MovedConfig
+from mocap_calib.config import DECISIVE_NATS, MovedConfig
 from mocap_calib.rig.tracks import MEDIAN_DISTANCE
 from mocap_calib.types import Bools, Floats, Ints
 
@@ -46,9 +46,9 @@ def find_epochs(
     *,
     least_noise: float,
 ) -> tuple[Epochs, float]:
-    """Return the epochs of a camera, and by how much their changes lower its cost, a share of it.
+    """Return the epochs of a camera, and the evidence (nats) of their changes.
 
-    There is one epoch, and a gain of 0, where nothing speaks for a change.
+    There is one epoch, and no evidence, where the evidence of no change is decisive.
 
     start: the pose in the rig. least_noise: radians, below which no detector is.
     """
@@ -65,9 +65,9 @@ def find_epochs(
         if not tried:
             break
         best = int(_total_costs(tried, seen, config)[0].argmin())
-        (before, after), _ = _total_costs([found[-1], tried[best]], seen, config)
+        (before, after), detections = _total_costs([found[-1], tried[best]], seen, config)
         found.append(tried[best])
-        if before < (1 + config.least_gain) * after:
+        if detections * (before / max(after, 1e-12) - 1) < 1:
             break
     costs, detections = _total_costs(found, seen, config)
     return _choose_number(found, costs, detections, config)
@@ -79,14 +79,15 @@ def own_costs(epochs: Epochs, tolerance: float, seen: Sightings, config: MovedCo
     return cost[_epoch_of(epochs.starts, len(seen.frame)), np.arange(len(seen.frame))]
 
 
-def stands_out(start: CameraPoses, seen: Sightings, config: MovedConfig) -> bool:
-    """Return whether the errors of a camera change at some moment more than those of others do.
+def change_at_a_glance(start: CameraPoses, seen: Sightings, config: MovedConfig) -> float:
+    """Return how far the errors of a camera change at one moment, above 1 = look closer.
 
-    start: its pose in the rig. Cheap: nothing is refined.
+    Of two signs the larger: the share of the squared errors that a small change of pose explains,
+    and the step of the mean cost. start: its pose in the rig. Cheap: nothing is refined.
     """
     detections, least = len(seen.frame), _least(seen, config)
     if detections < 2 * least:
-        return False
+        return 0.0
     tolerance = config.loose * float(np.median(seen.angular_size))
     problem = linearise(start, seen, tolerance, config.least_joints)
     normal, target = problem.normal[0], problem.target[0]
@@ -99,7 +100,8 @@ def stands_out(start: CameraPoses, seen: Sightings, config: MovedConfig) -> bool
     )
     balance = 2 * np.sqrt(moments * (detections - moments)) / detections
     step = np.abs(after - before) * balance
-    return bool(gains.max() > config.suspicious_gain * left or step.max() > config.suspicious_step)
+    share = float(gains.max()) / max(float(left), 1e-300)
+    return max(share / config.suspicious_gain, float(step.max()) / config.suspicious_step)
 
 
 def last_moments(
@@ -200,7 +202,7 @@ def _propose_splits(
             small.append(_small_split(epochs, epoch, span, least=least, seen=seen, config=config))
             large.append(_large_split(epoch, span, proposed, np.nan_to_num(costs), least=least))
     best = [max(splits, key=lambda split: split.gain) for splits in (small, large) if splits]
-    worth = config.large_gain * len(seen.frame)
+    worth = 0.03 * len(seen.frame)  # else small steps do as well
     return [split for split in best if not split.is_large or split.gain > worth]
 
 
@@ -255,7 +257,7 @@ def _refine(
     detections = len(seen.frame)
     widest, least_noise = angles
     tolerances = np.geomspace(widest, widest / 10, config.steps)
-    for _ in range(config.rounds):
+    for _ in range(3):
         own = _members(starts, detections)
         poses = refine_poses(
             poses,
@@ -301,15 +303,18 @@ def _move_starts(starts: Ints, cost: Floats, least: int) -> Ints:
 def _choose_number(
     found: list[Epochs], costs: Floats, detections: int, config: MovedConfig
 ) -> tuple[Epochs, float]:
-    """Return the epochs that are believed, of those with 0, 1, 2, ... changes, and their gain.
+    """Return the epochs that are accepted, of those with 0, 1, 2, ... changes, and their evidence.
+
+    A change that lowers the cost of n detections by a share g has n g / 2 nats (a profile
+    likelihood), divided by what one more change would seem to have: errors that drift with the
+    subject are no independent errors, and they fall bit by bit.
 
     costs: `[change]` of each, of so many detections.
     """
-    least = max(config.least_gain, config.least_evidence / max(detections, 1))
-    gains = costs[:-1] / np.maximum(costs[1:], 1e-12) - 1
-    further = np.append(np.maximum(gains[1:], 0.0), 0.0)
+    gains = np.maximum(costs[:-1] / np.maximum(costs[1:], 1e-12) - 1, 0.0) * detections
     for changes in range(min(len(gains), config.most_changes), 0, -1):
-        enough = gains[:changes].min() >= least
-        if enough and gains[changes - 1] >= config.least_contrast * further[changes - 1]:
-            return found[changes], float(costs[0] / costs[changes] - 1)
+        further = max(1.0, float(gains[changes:].max(initial=0.0)))
+        evidence = min(float(gains[:changes].min()), float(gains[changes - 1]) / further) / 2
+        if evidence >= DECISIVE_NATS:
+            return found[changes], evidence
     return found[0], 0.0

@@ -1,8 +1,8 @@
-"""What is wrong with the files of single cameras, as a calibration shows it, and mending it.
+"""Find what is wrong with the input of single cameras, and correct it.
 
-Faults of several kinds may explain the same errors. Each explanation is tried, and the one with
-which a calibration explains most of what was seen counts; where none explains more than the files
-as they are, nothing is mended.
+Faults of several kinds may fit the same errors. Alternatives are tried in the order of their
+evidence, each on the whole recording; the share of the detections that is explained then adds to
+the evidence, and the first alternative for which that suffices is taken.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.config import Config, MendConfig
+from mocap_calib.config import DECISIVE_NATS, EPOCH_MARK, Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.faults.exchanged import find_exchanged_cameras
+from mocap_calib.faults.compare import Alternative, find_exchanged_cameras, find_faulty_cameras
 from mocap_calib.faults.moved import find_moved_cameras
-from mocap_calib.faults.odd_cameras import find_odd_cameras
-from mocap_calib.faults.words import describe
+from mocap_calib.faults.words import clock_faults, describe
 from mocap_calib.recording.corrections import Sides, apply_mends
-from mocap_calib.results import CalibrationResult, Fault, FaultWord, Mend
+from mocap_calib.results import CalibrationResult, Clocks, Fault, GroupResult, Mend
+from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.observed import Observed
 from mocap_calib.types import Recording
 from mocap_calib.verdict.explained import explained_share, usual_distance
@@ -26,126 +26,125 @@ from mocap_calib.verdict.explained import explained_share, usual_distance
 Calibrated = tuple[Observed, CalibrationResult]
 Calibrate = Callable[[Recording], Calibrated]
 
-# with these no rig fits a camera
-_GROSS: tuple[FaultWord, ...] = ("mirrored", "resized")
+_ROUNDS = 3  # of finding and correcting faults: one may hide another
+# evidence of all detections that a correction explains, or no longer explains: as many have errors
+# of their own, about
+_NATS_OF_ALL = 2000.0
+_UNNATURAL_SIDES = 0.03  # rise of the log spread of lifted bodies; measured 0.05 and more
 
 
 @dataclass(frozen=True)
-class _Explanation:
-    """Faults that may explain errors, and what follows from mending them.
-
-    gain: -1 to 1, by how much more of what was seen is explained. calibrated: with the mends.
-    """
+class _Correction:
+    """Faults, and what follows from correcting them."""
 
     faults: tuple[Fault, ...]
-    gain: float
     calibrated: Calibrated
 
 
 def mend_faults(
     recording: Recording, calibrated: Calibrated, calibrate: Calibrate
 ) -> CalibrationResult:
-    """Return what is found of a recording with the faults of its cameras named, and mended.
+    """Return what is found of a recording with the faults of its cameras named, and corrected.
 
-    Where mending is forbidden the mends are tried all the same, since they tell which of several
-    explanations is right; the result stays that of the files as they are.
+    Where correcting is forbidden the corrections are tried all the same, as they show which of
+    several alternatives is right; the result stays that of the input as it is.
 
     recording: as it was handed in. calibrated: what was found of it. calibrate: finds the same of
-        a recording that was mended.
+        a recording that was corrected.
     """
-    config, as_given = calibrated[1].config.mend, calibrated
     faults: tuple[Fault, ...] = ()
-    for _ in range(config.rounds):
-        best = _best_explanation(recording, calibrated, faults, calibrate)
-        if best is None or best.gain <= _refuting_gain(best.faults, config):
+    for _ in range(_ROUNDS):
+        best = _best_correction(recording, calibrated, faults, calibrate)
+        if best is None:
             break
-        if best.gain <= 0 and faults:  # nothing is left over that another fault would explain
-            break
-        if best.gain <= 0 or not config.apply:
+        if not calibrated[1].config.mend.apply:
             faults += _only_named(best.faults)
             break
-        calibrated = best.calibrated
         faults += best.faults
-    if faults and all(fault.word == "moved" for fault in faults) and _is_in_vain(calibrated[1]):
-        calibrated, faults = as_given, ()
+        if best.calibrated is calibrated:
+            break
+        calibrated = best.calibrated
     return replace(calibrated[1], faults=faults)
 
 
-def _refuting_gain(faults: Sequence[Fault], config: MendConfig) -> float:
-    """Return the gain that is too small for faults to be real.
-
-    Images that are mirrored or resized fit no rig, and fit well once they are mended. Other faults
-    may hardly harm a calibration.
-    """
-    if any(fault.word in _GROSS for fault in faults):
-        return config.least_gross_gain
-    return -config.refuting_loss
-
-
-def _is_in_vain(result: CalibrationResult) -> bool:
-    """Return whether cameras that were moved leave a rig that is not determined all the same.
-
-    Then errors come and go for another reason.
-    """
-    return result.groups[0].verdict == "not determined"
-
-
-def find_explanations(
+def find_alternatives(
     observed: Observed, result: CalibrationResult, config: Config
-) -> tuple[tuple[Fault, ...], ...]:
-    """Return faults of cameras that stand out, each of which may explain the same errors.
+) -> list[Alternative]:
+    """Return faults of cameras, each of which may explain the same errors, the likeliest first.
 
-    observed: what was known before the rigs were built. result: what was found with the files as
-        they are.
+    observed: what was known before the rigs were built. result: what was found with it.
     """
+    exchanged = [each for group in result.groups for each in find_exchanged_cameras(group)]
+    faulty = find_faulty_cameras(observed, result, config)
+    if exchanged:  # each of the two asks for the focal length of the other
+        faulty = [each for each in faulty if each.faults[0].word != "focal"]
+    moved = [
+        each for group in result.groups for each in find_moved_cameras(observed, group, config)
+    ]
+    return sorted([*exchanged, *faulty, *moved], key=lambda each: -each.evidence)
 
-    def find_moved() -> tuple[Fault, ...]:
-        return tuple(
-            fault
-            for group in result.groups
-            for fault in find_moved_cameras(observed, group, config)
-        )
 
-    def find_in_files() -> tuple[tuple[Fault, ...], ...]:
-        exchanged = tuple(
-            fault
-            for group in result.groups
-            for fault in find_exchanged_cameras(observed, group, config)
-        )
-        return (exchanged,) if exchanged else find_odd_cameras(observed, result, config)
+def _best_correction(
+    recording: Recording, calibrated: Calibrated, known: tuple[Fault, ...], calibrate: Calibrate
+) -> _Correction | None:
+    """Return the likeliest correction with which more is explained, None where there is none.
 
-    return find_moved(), *find_in_files()
+    known: faults that are corrected already. Where no correction explains more, faults that have
+    none are named.
+    """
+    observed, result = calibrated
+    alternatives = [
+        _new_faults(each.faults, known)
+        for each in find_alternatives(observed, result, result.config)
+    ]
+    for new in alternatives:
+        if mends_of(new) and not _may_be_reflected((*known, *new), result):
+            tried = _try_correction(recording, calibrated, known, new, calibrate)
+            if tried is not None:
+                return tried
+    named = {fault.camera: fault for new in alternatives for fault in new if fault.mend is None}
+    return _Correction(tuple(named.values()), calibrated) if named else None
+
+
+def _try_correction(
+    recording: Recording,
+    calibrated: Calibrated,
+    known: tuple[Fault, ...],
+    new: tuple[Fault, ...],
+    calibrate: Calibrate,
+) -> _Correction | None:
+    """Return new faults and the calibration with them corrected, None where it explains no more."""
+    try:
+        corrected = calibrate(apply_mends(recording, mends_of((*known, *new))))
+        others = _sides_of_others(new, calibrated[0], corrected[0])
+        if others:
+            new = others
+            corrected = calibrate(apply_mends(recording, mends_of((*known, *new))))
+    except DegenerateError:
+        return None
+    before, after = _explained_shares(recording, [calibrated, corrected])
+    nats = min(float(fault.evidence["nats"]) for fault in new)
+    confirmed = nats + _NATS_OF_ALL * (after - before) > DECISIVE_NATS
+    return _Correction(new, corrected) if confirmed else None
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:
-    """Return the mends of faults; one of two cameras counts once."""
+    """Return the corrections of faults; one of two cameras counts once."""
     return tuple(dict.fromkeys(fault.mend for fault in faults if fault.mend is not None))
 
 
-def _best_explanation(
-    recording: Recording, calibrated: Calibrated, known: tuple[Fault, ...], calibrate: Calibrate
-) -> _Explanation | None:
-    """Return the new faults whose mends explain most, None where there are none.
-
-    known: faults that are mended already.
-    """
-    observed, result = calibrated
-    tried: list[tuple[tuple[Fault, ...], Calibrated]] = []
-    for found in find_explanations(observed, result, result.config):
-        new = _new_faults(found, known)
-        if new and not _may_be_in_the_mirror((*known, *new), calibrated[1]):
-            tried.append(_calibrate_mended(recording, calibrated, known, new, calibrate))
-    if not tried:
-        return None
-    shares = _explained_shares(recording, [calibrated, *(mended for _, mended in tried)])
-    gains = [share - shares[0] for share in shares[1:]]
-    margin = result.config.mend.moved_margin
-    ranks = [gain - margin * _has_moved(new) for gain, (new, _) in zip(gains, tried, strict=True)]
-    best = ranks.index(max(ranks))
-    return _Explanation(tried[best][0], gains[best], tried[best][1])
+def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, ...]:
+    """Return the faults that are not known yet."""
+    names = {(fault.camera, fault.word, fault.mend) for fault in known}
+    return tuple(fault for fault in found if (fault.camera, fault.word, fault.mend) not in names)
 
 
-def _may_be_in_the_mirror(faults: Sequence[Fault], result: CalibrationResult) -> bool:
+def _only_named(faults: Sequence[Fault]) -> tuple[Fault, ...]:
+    """Return the faults as they are where nothing is corrected."""
+    return tuple(replace(fault, mend=None) for fault in faults)
+
+
+def _may_be_reflected(faults: Sequence[Fault], result: CalibrationResult) -> bool:
     """Return whether cameras that are said to be mirrored may as well not be.
 
     A world in the mirror fits as well, so what most cameras show is the right way round; and of
@@ -157,50 +156,22 @@ def _may_be_in_the_mirror(faults: Sequence[Fault], result: CalibrationResult) ->
     return bool(mirrored) and bool(2 * len(mirrored) >= cameras or from_afar)
 
 
-def _has_moved(faults: Sequence[Fault]) -> bool:
-    """Return whether a camera was moved, says one of the faults."""
-    return any(fault.word == "moved" for fault in faults)
-
-
-def _calibrate_mended(
-    recording: Recording,
-    calibrated: Calibrated,
-    known: tuple[Fault, ...],
-    new: tuple[Fault, ...],
-    calibrate: Calibrate,
-) -> tuple[tuple[Fault, ...], Calibrated]:
-    """Return new faults, and what is found with them and the known ones mended.
-
-    Where nothing can be calibrated with the mends they are only named, and nothing has changed.
-    """
-    if not mends_of(new):
-        return new, calibrated
-    try:
-        mended = calibrate(apply_mends(recording, mends_of((*known, *new))))
-        others = exchanged_instead(new, calibrated[0], mended[0], calibrated[1].config)
-        if not others:
-            return new, mended
-        return others, calibrate(apply_mends(recording, mends_of((*known, *others))))
-    except DegenerateError:
-        return _only_named(new), calibrated
-
-
-def exchanged_instead(
-    found: Sequence[Fault], observed: Observed, mended: Observed, config: Config
+def _sides_of_others(
+    found: Sequence[Fault], observed: Observed, corrected: Observed
 ) -> tuple[Fault, ...]:
-    """Return the faults of the two others where a camera had its sides right; else nothing.
+    """Return the faults of the two others of three cameras where one had its sides right.
 
-    Geometry shows only that one of three differs from two. But no body bends its knees backwards:
-    the lifting network is less certain of detections whose sides are exchanged.
+    Geometry shows only that one differs from two. But no body bends its knees backwards: the
+    lifting network is less certain of detections whose sides are exchanged.
 
-    observed, mended: what was known with the sides of the camera as they are, and exchanged.
+    observed, corrected: what was known with the sides of the camera as they are, and exchanged.
     """
     names = observed.recording.names
     if len(names) != 3 or len(found) != 1 or not isinstance(found[0].mend, Sides):
         return ()
     fault = found[0]
-    rise = log_spread(mended, fault.camera) - log_spread(observed, fault.camera)
-    if not rise > config.diagnosis.unnatural_sides:
+    rise = log_spread(corrected, fault.camera) - log_spread(observed, fault.camera)
+    if not rise > _UNNATURAL_SIDES:
         return ()
     mends = [Sides(name) for name in names if name != fault.camera]
     evidence = {**fault.evidence, "spread": rise}
@@ -211,7 +182,7 @@ def exchanged_instead(
 
 
 def log_spread(observed: Observed, camera: str) -> float:
-    """Return the logarithm of how unsure the network is of a camera's bodies, typically."""
+    """Return the median logarithm of the network's spread of a camera's lifted bodies."""
     spread = observed.lifted.spread[observed.recording.names.index(camera)]
     lifted = np.isfinite(spread).any(-1)
     if not lifted.any():
@@ -219,25 +190,61 @@ def log_spread(observed: Observed, camera: str) -> float:
     return float(np.median(np.log(np.nanmean(spread[lifted] ** 2, axis=-1))) / 2)
 
 
-def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, ...]:
-    """Return the faults that are not known yet."""
-    names = {(fault.camera, fault.word, fault.mend) for fault in known}
-    return tuple(fault for fault in found if (fault.camera, fault.word, fault.mend) not in names)
-
-
-def _only_named(faults: Sequence[Fault]) -> tuple[Fault, ...]:
-    """Return the faults as they are where nothing is mended."""
-    return tuple(replace(fault, mend=None) for fault in faults)
-
-
-def _explained_shares(recording: Recording, rivals: Sequence[Calibrated]) -> list[float]:
-    """Return the share (0..1) of what was seen that each of some results explains.
+def _explained_shares(recording: Recording, results: Sequence[Calibrated]) -> list[float]:
+    """Return the share (0..1) of the detections that each of some results explains.
 
     By the yardstick of the one with the smallest errors: a loose one makes all look alike.
 
-    recording: as it was handed in, with what lenses cannot undo before they are mended.
+    recording: as it was handed in, with what lenses cannot undo before they are corrected.
     """
-    yardsticks = [usual_distance(result, observed.recording) for observed, result in rivals]
+    yardsticks = [usual_distance(result, observed.recording) for observed, result in results]
     smallest = min(yardstick.angle for yardstick in yardsticks)
     strict = replace(yardsticks[0], angle=smallest)
-    return [explained_share(result, recording, strict) for _, result in rivals]
+    return [explained_share(result, recording, strict) for _, result in results]
+
+
+# --- clocks
+
+
+def add_clocks(result: CalibrationResult, clocks: Clocks) -> CalibrationResult:
+    """Return the result with the clocks of its cameras, and the faults that they are.
+
+    clocks: by which the recording was put on one clock; where they change nothing, what differs was
+        found and not applied.
+    """
+    groups = result.groups
+    if clocks.changed:
+        groups = tuple(_with_clocks(group, clocks) for group in groups)
+    faults = clock_faults(clocks, applied=clocks.changed)
+    refuted = {name for group in groups for name in _refuted(group, result)}
+    faults = tuple(fault for fault in faults if not fault.mend or fault.camera not in refuted)
+    return replace(result, groups=groups, clocks=clocks, faults=(*faults, *result.faults))
+
+
+def _refuted(group: GroupResult, result: CalibrationResult) -> list[str]:
+    """Return the cameras of which another clock explains nothing.
+
+    The rig is not determined, and the bodies that they see then look like those of nobody.
+    """
+    if group.verdict != "not determined":
+        return []
+    best = best_scores(group.pairs, len(group.rig))
+    unlike = best < result.config.averaging.weak_score
+    return [
+        name.partition(EPOCH_MARK)[0]
+        for name, odd in zip(group.rig.names, unlike, strict=True)
+        if odd
+    ]
+
+
+def _with_clocks(group: GroupResult, clocks: Clocks) -> GroupResult:
+    """Return the group with a rig that says which of its cameras have other clocks."""
+    different = [clock for clock in clocks.cameras if clock.differs]
+    own = tuple(
+        replace(clock, camera=name)
+        for name in group.rig.names
+        for clock in different
+        if name.partition(EPOCH_MARK)[0] == clock.camera
+    )
+    rig = replace(group.rig, clocks=own)
+    return replace(group, adjusted=replace(group.adjusted, rig=rig))

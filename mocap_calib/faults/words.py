@@ -1,9 +1,8 @@
 """Faults in words: what is wrong, what to do about it, and the option that states it beforehand."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
-from mocap_calib.faults.clock_faults import Retimed
 from mocap_calib.recording.corrections import (
     Cropped,
     Exchanged,
@@ -14,7 +13,10 @@ from mocap_calib.recording.corrections import (
     Rotated,
     Sides,
 )
-from mocap_calib.results import Fault, FaultWord, Mend
+from mocap_calib.recording.timeline import Retimed
+from mocap_calib.results import CalibrationResult, Clocks, Fault, FaultWord, Mend
+from mocap_calib.types import CameraClock
+from mocap_calib.wording import count
 
 ADVICE: dict[FaultWord, str] = {
     "mirrored": "mirror the video and detect again",
@@ -95,3 +97,62 @@ def _describe_fault(fault: Fault) -> dict[str, Any]:
         "option": (option_of(mend) or None) if mend else None,
         **fault.evidence,
     }
+
+
+# --- clocks
+
+
+def clock_faults(clocks: Clocks, *, applied: bool) -> tuple[Fault, ...]:
+    """Return the faults of the cameras whose clocks differ.
+
+    applied: the recording was put on one clock.
+    """
+    return tuple(
+        Fault(
+            camera=each.camera,
+            word=cast(FaultWord, each.kind),
+            says=describe_clock_fault(each),
+            evidence=dict(each.evidence),
+            mend=Retimed(each) if applied else None,
+        )
+        for each in clocks.cameras
+        if each.differs and each.evidence  # what somebody said is no finding
+    )
+
+
+def describe_clock_fault(clock: CameraClock) -> str:
+    """Return how a clock differs, for a person, without the name of the camera."""
+    if clock.kind == "clock":
+        late = "late" if clock.offset > 0 else "early"
+        return f"its clock is {count(abs(clock.offset), 'frame')} {late}"
+    if clock.kind == "rate" and clock.rate != 1.0:
+        return f"it has {clock.rate:g} frames for each of the other cameras"
+    last = clock.table[-1][1] - clock.table[0][1]
+    drift = f"its clock changes by {count(abs(last), 'frame')} over the recording"
+    if clock.kind == "rate":
+        return f"{drift}, evenly: its frame rate is another"
+    return f"it lost frames and numbered the others without gaps: {drift}"
+
+
+def describe_clock(clock: CameraClock, clocks: Clocks) -> dict[str, Any]:
+    """Return how the clock of a camera differs from that of the others, as run.json has it."""
+    return {
+        "camera": clock.camera,
+        "kind": clock.kind,
+        "offset_frames": clock.offset,
+        "rate": float(clock.rate),
+        "table": [{"frame": frame, "offset": offset} for frame, offset in clock.table],
+        "applied": clock.differs and clocks.changed,
+        "evidence": dict(clock.evidence),
+    }
+
+
+def describe_unknown_clocks(result: CalibrationResult) -> list[str]:
+    """Say that the clocks of the cameras could not be compared, where that is so."""
+    looked = result.config.sync.mode != "off"
+    if looked and all(clock.kind == "not known" for clock in result.clocks.cameras):
+        return [
+            "the clocks of the cameras are taken as they are: too little moves, or too few frames "
+            "are shared, to compare them"
+        ]
+    return []

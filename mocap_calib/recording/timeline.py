@@ -6,14 +6,14 @@ list it once, under its own name, with one rig for each epoch of the recording.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from mocap_calib.config import EPOCH_MARK
 from mocap_calib.recording.corrections import find_view
 from mocap_calib.recording.sampling import usual_step
-from mocap_calib.results import NO_FRAME, Clocks
+from mocap_calib.results import NO_FRAME, Clocks, FaultWord
 from mocap_calib.types import Camera, CameraClock, CameraRig, Ints, Recording
 
 # --- clocks
@@ -111,6 +111,33 @@ def _source_of(camera: CameraClock, frames: Ints, given: Ints) -> Ints:
     repeated = np.append(False, own[1:] <= latest[:-1])
     place = np.minimum(np.searchsorted(given, own), len(given) - 1)
     return np.where((given[place] == own) & ~repeated, place, -1)
+
+
+@dataclass(frozen=True)
+class Retimed:
+    """The clock of a camera differs from that of the others."""
+
+    clock: CameraClock
+
+    @property
+    def camera(self) -> str:
+        """Name of the camera."""
+        return self.clock.camera
+
+    @property
+    def word(self) -> FaultWord:
+        """The fault that it mends."""
+        return cast(FaultWord, self.clock.kind)
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with the camera on the clock of the others.
+
+        Raises MismatchError where the recording does not have it.
+        """
+        view = find_view(recording, self.camera)
+        cameras = [CameraClock(name, "in step") for name in recording.names]
+        cameras[view] = self.clock
+        return retime(recording, clocks_from(recording, tuple(cameras)))
 
 
 # --- epochs

@@ -12,7 +12,7 @@ import numpy as np
 
 from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config
 from mocap_calib.pairs.solve import in_recording
 from mocap_calib.recording.corrections import Cropped
 from mocap_calib.results import (
@@ -53,7 +53,7 @@ def judge(result: CalibrationResult) -> CalibrationResult:
         checks, config = group.assessment.checks, result.config
         judged = _with_estimated_crops(group, result.faults, config)
         verdict = assess(judged, checks, config, faults=result.faults, clocks=result.clocks)
-        groups.append(_without_accusations(replace(judged, assessment=verdict), config))
+        groups.append(_without_accusations(replace(judged, assessment=verdict)))
     return replace(result, groups=tuple(groups))
 
 
@@ -264,7 +264,7 @@ def _with_estimated_crops(
     return replace(group, uncertainty=known)
 
 
-def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
+def _without_accusations(group: GroupResult) -> GroupResult:
     """Return the group that names outlier cameras only where the others determine them.
 
     None of a rig that is not determined, most cameras of which are uncertain, or half inconsistent.
@@ -273,7 +273,7 @@ def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
     usual = np.rad2deg(np.median(known.covariance.rotation_sigma))
     if group.verdict == "not determined":
         known = replace(known, outlier_cameras=none, wrong_focal=none)
-    elif 2 * known.outlier_cameras.sum() >= len(none) or usual > config.diagnosis.core_deg:
+    elif 2 * known.outlier_cameras.sum() >= len(none) or usual > VERDICT_LIMITS_DEG[1]:
         known = replace(known, outlier_cameras=none)
     return replace(group, uncertainty=known)
 

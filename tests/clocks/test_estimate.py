@@ -20,10 +20,9 @@ from mocap_calib.clocks.evidence import (
 )
 from mocap_calib.clocks.follow import LARGEST_STEP, follow_ridge
 from mocap_calib.config import SyncConfig
-from mocap_calib.faults.clock_faults import Retimed, clock_faults
-from mocap_calib.faults.words import option_of
+from mocap_calib.faults.words import clock_faults, option_of
 from mocap_calib.kernels import clocks as kernels
-from mocap_calib.recording.timeline import clocks_from, retime
+from mocap_calib.recording.timeline import Retimed, clocks_from, retime
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import CameraClock
 

@@ -11,10 +11,7 @@ from mocap_calib.adjust import refine
 from mocap_calib.adjust.covariance import _inverse_at_size
 from mocap_calib.clocks.evidence import along_map
 from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
-from mocap_calib.config import Config, MendConfig, MovedConfig
-from mocap_calib.faults import suspicion
-from mocap_calib.faults.changes import _choose_number
-from mocap_calib.faults.mend import _has_moved, _refuting_gain
+from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.identities.join import _pieces_between
 from mocap_calib.results import Matches
@@ -30,38 +27,6 @@ def test_pieces_between_others_are_those_that_begin_and_end_there():
     last = np.array([[4, 7], [10, 0], [18, 2], [30, 5]])
     pairs = np.array([0, 0, 1, 0]), np.array([2, 3, 3, 1])
     assert _pieces_between(first, last, pairs).tolist() == [1, 2, 1, 0]
-
-
-@pytest.mark.parametrize(
-    ("costs", "changes"),
-    [
-        ([100.0, 99.9], 0),
-        ([100.0, 40.0], 1),
-        ([100.0, 40.0, 10.0], 2),
-        ([100.0, 50.0, 49.99, 10.0], 1),  # the second gains nothing, so the third is no matter
-    ],
-)
-def test_epochs_are_believed_as_far_as_each_change_gains(costs, changes):
-    found, gain = _choose_number(
-        ["none", "one", "two", "three"], np.array(costs), 1000, MovedConfig()
-    )
-    assert found == ["none", "one", "two"][changes]
-    assert gain == pytest.approx(costs[0] / costs[changes] - 1 if changes else 0.0)
-
-
-def test_a_camera_has_moved_if_one_of_its_faults_says_so():
-    moved, turned = SimpleNamespace(word="moved"), SimpleNamespace(word="turned")
-    assert _has_moved([turned, moved])
-    assert not _has_moved([turned, turned])
-    assert not _has_moved([])
-
-
-def test_images_that_are_not_as_they_say_explain_much_once_they_are_mended():
-    config = MendConfig()
-    for word in ("mirrored", "resized"):
-        faults = [SimpleNamespace(word="sides"), SimpleNamespace(word=word)]
-        assert _refuting_gain(faults, config) == config.least_gross_gain > 0
-    assert _refuting_gain([SimpleNamespace(word="rotated")], config) == -config.refuting_loss < 0
 
 
 @pytest.mark.parametrize(("estimated", "given", "unchecked"), [(2, 0, 1), (1, 1, 0), (3, 0, 0)])
@@ -146,23 +111,3 @@ def test_offsets_of_clocks_are_used_that_are_certain_large_and_all_in_reach():
 def test_the_score_of_a_camera_is_that_of_its_best_pair():
     pairs = [SimpleNamespace(a=a, b=b, score=s) for a, b, s in ((0, 1, 0.5), (2, 1, 0.8))]
     np.testing.assert_array_equal(best_scores(tuple(pairs), 4), [0.5, 0.8, 0.8, np.nan])
-
-
-class Rig(list):
-    """Of which only the number of cameras is asked."""
-
-    cameras = ()
-
-
-@pytest.mark.parametrize("times", [0.5, 1.0, 1.5])
-def test_a_large_rig_is_held_against_itself_in_fewer_frames(monkeypatch, times):
-    """The cost of a frame grows with the square of the cameras."""
-    config, frames = Config(), []
-    small = config.view_graph.small_rig
-    rig = Rig(range(round(times * small)))
-    monkeypatch.setattr(suspicion, "labelled_frames", lambda _: np.arange(1000))
-    monkeypatch.setattr(suspicion, "view_noise", lambda *_: None)
-    monkeypatch.setattr(suspicion, "gather_tracks", lambda *given: frames.append(given[2]))
-    suspicion._hold_against_others(SimpleNamespace(keypoints=()), rig, None, config)
-    expected = config.diagnosis.suspicious_frames * min(1.0, small / len(rig)) ** 2
-    assert len(frames[0]) == pytest.approx(expected, abs=0.5)

@@ -32,8 +32,9 @@ const SETTLED = "below 1° is well determined, below 3° usable, below 10° weak
 
 /** By path within run.json; `*` stands for a number or a name. */
 const EXPLANATIONS: Record<string, Explanation> = {
-  "verdict.rotation_sigma_deg.max": e("Rotation of the worst camera", `${TURN} The verdict rests on this number.`, "°", SETTLED),
-  "verdict.rotation_sigma_deg.median": e("Rotation of the usual camera", TURN, "°", SETTLED),
+  "verdict.expected_error_deg": e("Expected error of the worst camera", "The root of the sum of the squares of its causes. The verdict rests on this number.", "°", SETTLED),
+  "verdict.rotation_sigma_deg.max": e("Rotation of the worst camera", `${TURN} It is one cause of the expected error.`, "°"),
+  "verdict.rotation_sigma_deg.median": e("Rotation of the usual camera", TURN, "°"),
   "verdict.centre_sigma_percent.max": e("Place of the worst camera", SHIFT, "%"),
   "verdict.centre_sigma_percent.median": e("Place of the usual camera", SHIFT, "%"),
   "verdict.intrinsics_turn_deg.max": e("Intrinsics, worst camera", INTRINSICS, "°"),

@@ -107,8 +107,7 @@ def _is_critical(report: dict[str, Any]) -> bool:
 def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> None:
     """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
     from mocap_calib.clocks.estimate import compare_clocks
-    from mocap_calib.faults.clock_faults import clock_faults, describe_clock
-    from mocap_calib.faults.words import option_of
+    from mocap_calib.faults.words import clock_faults, describe_clock, option_of
     from mocap_calib.job.load import load_recording
     from mocap_calib_cli import inputs
 

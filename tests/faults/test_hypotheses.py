@@ -8,22 +8,20 @@ import pytest
 from scenes import calibrate_all, recording, rotation_errors_deg, scene
 
 from mocap_calib.adjust.camera_fit import CameraFit, CameraPose
-from mocap_calib.config import Config, DiagnosisConfig, MendConfig
-from mocap_calib.faults import mend as faults
-from mocap_calib.faults import odd_cameras, suspicion
-from mocap_calib.faults.exchanged import likely_pairs
-from mocap_calib.faults.explanations import (
-    explanations,
-    is_acceptable,
+from mocap_calib.config import DECISIVE_NATS, Config, DiagnosisConfig, MendConfig
+from mocap_calib.faults import leave_one_out
+from mocap_calib.faults.compare import find_exchanged_cameras
+from mocap_calib.faults.hypotheses import (
+    evidence_of_unknowns,
+    list_hypotheses,
+    log_bayes_factor,
     mend_of,
     plain_factor,
 )
-from mocap_calib.faults.odd_cameras import find_odd_cameras
-from mocap_calib.faults.suspicion import is_turned, rolls
+from mocap_calib.faults.leave_one_out import nearest_quarter, rolls
 from mocap_calib.faults.words import describe
 from mocap_calib.geometry.lens import pixels_from_points
-from mocap_calib.recording.corrections import Cropped, Mirrored, Resized, Rotated, Sides
-from mocap_calib.results import Fault
+from mocap_calib.recording.corrections import Cropped, Exchanged, Mirrored, Resized, Rotated, Sides
 from mocap_calib.types import Recording
 
 ODD = 1
@@ -113,15 +111,8 @@ def test_of_several_people_a_mirrored_camera_is_named():
 
 
 @pytest.mark.slow
-def test_two_cameras_that_go_together_are_named_and_mended(monkeypatch):
-    """Left and right exchanged in two of five, found at once; measured 0.1 deg after both mends."""
-    rounds = []
-
-    def find(*arguments) -> tuple[tuple[Fault, ...], ...]:
-        rounds.append(find_odd_cameras(*arguments))
-        return rounds[-1]
-
-    monkeypatch.setattr(faults, "find_odd_cameras", find)
+def test_two_cameras_that_go_together_are_named_and_corrected():
+    """Left and right exchanged in two of five; measured 0.1 deg after both corrections."""
     given = plain(cameras=5)
     damaged = given
     for name in given.names[:2]:
@@ -130,8 +121,6 @@ def test_two_cameras_that_go_together_are_named_and_mended(monkeypatch):
     assert {(fault.camera, fault.word) for fault in result.faults} == {
         (name, "sides") for name in given.names[:2]
     }
-    assert [len(rival) for rival in rounds[0]] == [1, 2]
-    assert rounds[1:] == [()]
     true = scene(**{**CHANGES, "cameras": 5}).rig
     assert np.median(rotation_errors_deg(result.groups[0].rig, true)) < 1.0
 
@@ -158,8 +147,8 @@ def test_a_camera_on_its_side_is_seen_beside_upright_ones():
     found = rolls(replace(rig, rotation=rotation, translation=translation), DiagnosisConfig())
     # images turned clockwise: what is down lies to the left
     assert found[ODD] == pytest.approx(90, abs=10)
-    assert is_turned(found, DiagnosisConfig()).tolist() == [False, True, False, False]
-    assert not is_turned(rolls(rig, DiagnosisConfig()), DiagnosisConfig()).any()
+    assert nearest_quarter(found, DiagnosisConfig()).tolist() == [0, 90, 0, 0]
+    assert not nearest_quarter(rolls(rig, DiagnosisConfig()), DiagnosisConfig()).any()
 
 
 def test_sides_are_exchanged_where_that_fits_far_better():
@@ -173,25 +162,14 @@ def test_sides_are_exchanged_where_that_fits_far_better():
     pixels[turned] = pixels[turned][:, [0, 2, 1, 4, 3]]
     pixels[20:, 3:] = np.nan
     flat = points.reshape(-1, 3).T, pixels.reshape(-1, 2).T
-    assert suspicion._exchanged_share(rig, ODD, *flat, keypoints) == pytest.approx(5 / 20)
-    assert suspicion._exchanged_share(rig, ODD, *flat, ("a", "b", "c", "d", "e")) == 0.0
+    assert leave_one_out._exchanged_share(rig, ODD, *flat, keypoints) == pytest.approx(5 / 20)
+    assert leave_one_out._exchanged_share(rig, ODD, *flat, ("a", "b", "c", "d", "e")) == 0.0
 
 
-def test_bodies_that_are_lifted_alike_count_by_the_square_of_their_score():
-    """60 nats by a core whose score is 0.7 are more than 75 of 0.6: 29.4, 27; not 42, 45."""
-    alike, odd = (
-        SimpleNamespace(evidence=evidence, core=SimpleNamespace(pair_score=score))
-        for evidence, score in ((60.0, 0.7), (75.0, 0.6))
-    )
-    assert odd_cameras._certainty(alike) == pytest.approx(29.4)
-    assert odd_cameras._certainty(odd) == pytest.approx(27.0)
-
-
-def test_factors_near_a_plain_one_are_plain():
-    config = DiagnosisConfig()
-    assert plain_factor(0.53, config) == 0.5
-    assert plain_factor(1.95, config) == 2.0
-    assert plain_factor(1.1, config) == 1.1
+def test_images_are_resized_by_plain_factors():
+    assert plain_factor(np.log(0.53)) == 0.5
+    assert plain_factor(np.log(1.95)) == 2.0
+    assert plain_factor(np.log(1.1)) is None
 
 
 def fit_of(unknowns, sigma, keypoints=1000) -> CameraFit:
@@ -207,22 +185,37 @@ def test_a_crop_moves_what_is_seen_to_the_left_and_up_and_hides_the_rest():
     config = DiagnosisConfig()
     given = plain()
     width, height = given.cameras[ODD].size
-    by_name = {each.name: each for each in explanations(damage(given, "cropped"), ODD)}
+    by_name = {each.name: each for each in list_hypotheses(damage(given, "cropped"), ODD)}
     cropped = by_name["cropped"]
+
+    def evidence(unknowns) -> float:
+        return evidence_of_unknowns(cropped, fit_of(unknowns, [10, 10]), config)
+
     fit = fit_of([-0.2 * width, -0.15 * height], [10, 10])
-    assert is_acceptable(cropped, fit, config)
-    assert mend_of(cropped, fit, config) == Cropped(
+    assert evidence(fit.unknowns) > 3 * DECISIVE_NATS
+    assert mend_of(cropped, fit) == Cropped(
         given.names[ODD], round(0.2 * width), round(0.15 * height), sigma=10.0
     )
-    assert not is_acceptable(cropped, fit_of([-0.2 * width, 0], [10, 10], keypoints=300), config)
-    assert not is_acceptable(cropped, fit_of([0.2 * width, 0], [10, 10]), config)
-    assert not is_acceptable(cropped, fit_of([-0.02 * width, 0], [1, 1]), config)
+    assert evidence([-0.02 * width, 0]) < 0  # as of sound intrinsics
+    assert evidence([0.2 * width, 0]) == -np.inf
     # what is seen reaches beyond what so large a crop would have left
-    assert not is_acceptable(cropped, fit_of([-0.8 * width, 0], [10, 10]), config)
+    assert evidence([-0.8 * width, 0]) == -np.inf
 
 
-def test_explanations_have_names_of_their_own_and_mends_say_what_is_wrong():
-    found = explanations(plain(), ODD)
+def test_evidence_is_the_ratio_of_the_densities_of_the_estimate():
+    """Of one unknown, in closed form; of an estimate far more uncertain than both priors, none."""
+    sound, faulty, value, sigma = 0.02, 0.4, 0.1, 0.01
+    narrow, wide = sound**2 + sigma**2, faulty**2 + sigma**2
+    expected = (value**2 / narrow - value**2 / wide + np.log(narrow / wide)) / 2
+    priors = np.array([sound]), np.array([faulty])
+    found = log_bayes_factor(np.array([value]), np.array([[sigma**2]]), *priors)
+    assert found == pytest.approx(expected)
+    vague = log_bayes_factor(np.array([3.0]), np.array([[100.0**2]]), *priors)
+    assert vague == pytest.approx(0.0, abs=1e-4)
+
+
+def test_hypotheses_have_names_of_their_own_and_corrections_say_what_is_wrong():
+    found = list_hypotheses(plain(), ODD)
     assert found[0].name == "given"
     assert len({each.name for each in found}) == len(found)
     said = [describe(each.mend) for each in found if each.mend is not None]
@@ -234,14 +227,15 @@ def group_of(focal, change, sigma=0.007):
     """Return what a group says of focal lengths."""
     cameras = [SimpleNamespace(focal=each) for each in focal]
     known = SimpleNamespace(focal_change=np.array(change), focal_sigma=np.full(len(change), sigma))
-    return SimpleNamespace(rig=SimpleNamespace(cameras=cameras), uncertainty=known)
+    names = tuple(str(view) for view in range(len(focal)))
+    return SimpleNamespace(rig=SimpleNamespace(cameras=cameras, names=names), uncertainty=known)
 
 
 def test_cameras_that_want_the_focal_lengths_of_each_other_may_be_exchanged():
     """Not where one of the two is right, nor where they are equal, nor in rigs of two."""
-    config = Config().exchanged
     focal, change = (766, 688, 724), (-0.107, 0.099, -0.005)
-    assert likely_pairs(group_of(focal, change), config)[0] == (0, 1)
-    assert likely_pairs(group_of(focal, (0.0, 0.099, 0.0)), config) == []
-    assert likely_pairs(group_of((700, 700, 700), change), config) == []
-    assert likely_pairs(group_of(focal[:2], change[:2]), config) == []
+    (found,) = find_exchanged_cameras(group_of(focal, change))
+    assert [fault.mend for fault in found.faults] == [Exchanged("0", "1")] * 2
+    assert find_exchanged_cameras(group_of(focal, (0.0, 0.099, 0.0))) == []
+    assert find_exchanged_cameras(group_of((700, 700, 700), change)) == []
+    assert find_exchanged_cameras(group_of(focal[:2], change[:2])) == []

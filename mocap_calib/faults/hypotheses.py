@@ -1,0 +1,146 @@
+"""What may be wrong with the images, the labels or the intrinsics of one camera.
+
+Each hypothesis states under which intrinsics and with which detections the camera would see what
+it saw, and which few unknowns are free under it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_calib.adjust.camera_fit import CameraFit, Unknown
+from mocap_calib.config import PLAIN_FACTORS, DiagnosisConfig
+from mocap_calib.recording.corrections import (
+    Cropped,
+    Mirrored,
+    Refocused,
+    Resized,
+    Rotated,
+    Sides,
+)
+from mocap_calib.results import Mend
+from mocap_calib.types import Camera, EstimatedCamera, Floats, Recording
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One hypothesis about the input of a camera.
+
+    name: unique among those of a camera; "given" where nothing is wrong.
+    camera: with the intrinsics that it would have. pixels: `[frame, instance, keypoint, 2]` the
+        detections as they would be. sides: left and right are exchanged in `pixels`.
+    free: the unknowns besides the pose. mend: the correction, where there are no unknowns.
+    """
+
+    name: str
+    camera: Camera
+    pixels: Floats
+    sides: bool = False
+    free: tuple[Unknown, ...] = ()
+    mend: Mend | None = None
+
+
+def list_hypotheses(recording: Recording, view: int) -> tuple[Hypothesis, ...]:
+    """Return all hypotheses of the camera of a view, first that nothing is wrong.
+
+    recording: some frames of it. Images of unknown size are not rotated, and intrinsics that were
+        estimated from the recording are no input that could be wrong.
+    """
+    alone = recording.select(views=[view])
+    name = alone.names[0]
+    mends: list[tuple[str, Mend]] = [
+        ("sides", Sides(name)),
+        ("mirrored", Mirrored(name, sides=False)),
+        ("mirrored, sides", Mirrored(name, sides=True)),
+    ]
+    if alone.cameras[0].size != (0, 0):
+        mends += [(f"rotated {degrees}", Rotated(name, degrees)) for degrees in (90, 180, 270)]
+    given = Hypothesis("given", alone.cameras[0], alone.positions[0].astype(np.float64))
+    found = [given, *(_corrected(alone, word, mend) for word, mend in mends)]
+    if not isinstance(alone.cameras[0], EstimatedCamera):
+        found += [
+            replace(given, name="resized", free=("log_scale",)),
+            replace(given, name="cropped", free=("x", "y")),
+            replace(given, name="focal", free=("log_focal",)),
+        ]
+    return tuple(found)
+
+
+def _corrected(alone: Recording, name: str, mend: Mend) -> Hypothesis:
+    """Return the hypothesis that a correction without unknowns is right."""
+    corrected = mend.apply(alone)
+    return Hypothesis(
+        name=name,
+        camera=corrected.cameras[0],
+        pixels=corrected.positions[0].astype(np.float64),
+        sides=name.endswith("sides"),
+        mend=mend,
+    )
+
+
+def mend_of(hypothesis: Hypothesis, fit: CameraFit) -> Mend | None:
+    """Return the correction of a hypothesis with the unknowns that were found."""
+    camera = hypothesis.camera
+    if hypothesis.name == "resized":
+        factor = plain_factor(float(fit.unknowns[0]))
+        return Resized(camera.name, factor) if factor else None
+    if hypothesis.name == "cropped":
+        x, y = (round(-shift) for shift in fit.unknowns.tolist())
+        sigma = float(np.sqrt(np.diag(fit.covariance).max()))
+        return Cropped(camera.name, x=x, y=y, sigma=sigma)
+    if hypothesis.name == "focal":
+        focal = camera.focal * float(np.exp(fit.unknowns[0]))
+        return Refocused(camera.name, focal, focal * float(np.sqrt(fit.covariance[0, 0])))
+    return hypothesis.mend
+
+
+def plain_factor(log_scale: float) -> float | None:
+    """Return the plain factor (2, 1/2, 2/3, ...) within 12 % of an estimate, None if there is none.
+
+    Videos are resized by plain factors, and an estimate is good to some per cent alone: a change
+    by less is one of the focal length.
+    """
+    nearest = min(PLAIN_FACTORS, key=lambda plain: abs(log_scale - np.log(plain)))
+    return nearest if abs(log_scale - np.log(nearest)) <= 0.12 else None
+
+
+def log_bayes_factor(unknowns: Floats, covariance: Floats, sound: Floats, faulty: Floats) -> float:
+    """Return the log evidence of a fault beside sound intrinsics, by Laplace's approximation.
+
+    Both have zero-mean normal priors of the unknowns, wide and narrow: the marginal densities of
+    the estimate are N(0, covariance + prior) (Kass and Raftery 1995, eq. 5).
+
+    unknowns: `[unknown]` estimates; covariance: of them. sound, faulty: `[unknown]` standard
+        deviations of sound and of faulty intrinsics.
+    """
+    narrow, wide = (covariance + np.diag(sigma**2) for sigma in (sound, faulty))
+    squares = [float(unknowns @ np.linalg.solve(each, unknowns)) for each in (narrow, wide)]
+    volumes = [float(np.linalg.slogdet(each)[1]) for each in (narrow, wide)]
+    return (squares[0] - squares[1] + volumes[0] - volumes[1]) / 2
+
+
+def evidence_of_unknowns(hypothesis: Hypothesis, fit: CameraFit, config: DiagnosisConfig) -> float:
+    """Return the log evidence (nats) for the unknowns of a hypothesis, not for sound ones."""
+    if hypothesis.name == "resized" and plain_factor(float(fit.unknowns[0])) is None:
+        return -np.inf
+    if hypothesis.name != "cropped":
+        sound, faulty = np.array([config.sound_focal]), np.array([config.faulty_focal])
+        return log_bayes_factor(fit.unknowns, fit.covariance, sound, faulty)
+    size = np.array(hypothesis.camera.size, dtype=np.float64)
+    if not size.all() or not _may_be_cropped(hypothesis, fit, size):
+        return -np.inf
+    sound, faulty = config.sound_centre * size, config.faulty_centre * size
+    return log_bayes_factor(fit.unknowns, fit.covariance, sound, faulty)
+
+
+def _may_be_cropped(hypothesis: Hypothesis, fit: CameraFit, size: Floats) -> bool:
+    """Return whether the images may be a part of those that the intrinsics are for.
+
+    Cropping moves what is seen to the left and up, and nothing is seen beyond what is left.
+    """
+    sigma = np.sqrt(np.diag(fit.covariance))
+    if (fit.unknowns > 2 * sigma).any():
+        return False
+    seen = hypothesis.pixels[np.isfinite(hypothesis.pixels[..., 0])]
+    part = size + np.minimum(fit.unknowns + 2 * sigma, 0.0)
+    return bool((np.percentile(seen, 99.5, axis=0) <= part).all())

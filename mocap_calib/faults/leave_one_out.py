@@ -1,0 +1,290 @@
+"""Leave-one-out rigs: which cameras to leave out, and the points that the others place.
+
+A camera that is wrong spoils the rig of all. Cheap signs, none of which is proof, say which cameras
+deserve a rig without them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_calib.adjust.camera_fit import CameraPose, Seen, Unknown, fit_camera
+from mocap_calib.adjust.refine import adjust_until_stable
+from mocap_calib.adjust.rig_covariance import rig_covariance
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config, DiagnosisConfig
+from mocap_calib.errors import DegenerateError
+from mocap_calib.faults.hypotheses import log_bayes_factor
+from mocap_calib.geometry.alignment import changed_rig
+from mocap_calib.geometry.lens import pixels_from_points
+from mocap_calib.recording.corrections import exchanged_sides
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import CalibrationResult, Matches, RigCovariance
+from mocap_calib.rig.associate import associate
+from mocap_calib.rig.averaging import average, camera_groups
+from mocap_calib.rig.large_rigs import takes_all_pairs
+from mocap_calib.rig.observed import (
+    Observed,
+    PlacedCameras,
+    leave_out_underconstrained,
+    place_bodies,
+)
+from mocap_calib.rig.tracks import (
+    Tracks,
+    gather_tracks,
+    labelled_frames,
+    view_noise,
+)
+from mocap_calib.rig.triangulate import triangulate_rays
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample, silent
+
+_FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
+_LOW_SCORE = 0.8  # of a camera's pairs, as a share of that of the other pairs
+_LEAST_PAIRED = 4  # keypoints of a detection that show whether its sides are exchanged
+_CLEARLY = 0.5  # of the error as given
+_FRAMES, _KEYPOINTS = 80, 1500  # that a camera is held against
+
+
+# --- which cameras
+
+
+def screen_cameras(observed: Observed, result: CalibrationResult, config: Config) -> list[int]:
+    """Return the views that deserve a closer look, those with the worst pairs first.
+
+    A camera does that is not in the largest group, whose pairs have low scores, whose sides are
+    exchanged often, whose image is rotated beside the others', or that asks for other intrinsics.
+    Where half of the cameras are outside the largest group, either half may be wrong.
+    Of two cameras neither can be named.
+    """
+    names, group = observed.recording.names, result.groups[0]
+    if len(names) < 3:
+        return []
+    members = np.array([names.index(name) for name in group.rig.names])
+    odd = np.ones(len(names), dtype=bool)
+    odd[members] = 2 * len(members) <= len(names)
+    scores = _pair_scores(observed)
+    odd |= scores < _LOW_SCORE
+    if len(members) >= 3:
+        odd[members] |= nearest_quarter(rolls(group.rig, config.diagnosis), config.diagnosis) != 0
+        sample = observed.sample.select(views=members)
+        odd[members] |= _differ_from_others(sample, group.rig, group.adjusted.matches, config)
+    order = np.argsort(scores, kind="stable")
+    return [int(view) for view in order if odd[view]]
+
+
+def _pair_scores(observed: Observed) -> Floats:
+    """Return the mean score `[view]` of a camera's pairs, as a share of that of the other pairs."""
+    scores = np.array([pair.score for pair in observed.pairs])
+    ends = np.array([(pair.a, pair.b) for pair in observed.pairs]).reshape(-1, 2)
+    found = np.ones(len(observed.recording.cameras))
+    for view in range(len(found)):
+        own = (ends == view).any(1)
+        if own.any() and not own.all():
+            found[view] = scores[own].mean() / max(float(scores[~own].mean()), 1e-9)
+    return found
+
+
+def rolls(rig: CameraRig, config: DiagnosisConfig) -> Floats:
+    """Return how far each camera is rotated clockwise about its axis, `[view]` in degrees.
+
+    Against the down of the others' images, which must agree among themselves; NaN where they do
+    not, or where the camera looks up or down.
+    """
+    views = len(rig)
+    found = np.full(views, np.nan)
+    for view in range(views):
+        others = np.delete(np.arange(views), view)
+        down = rig.rotation[others, 1].mean(0)
+        among = [_roll(rig.rotation[other], down) for other in others]
+        if len(others) >= 2 and all(abs(roll) < config.upright_deg for roll in among):
+            found[view] = _roll(rig.rotation[view], down)
+    return found
+
+
+def _roll(rotation: Floats, down: Floats) -> float:
+    """Return the angle in degrees from an image's y to a direction `[3]` of the world, clockwise.
+
+    NaN where the camera looks nearly along it.
+    """
+    x, y, z = rotation @ down
+    if np.hypot(x, y) < np.abs(z):
+        return np.nan
+    return float(np.degrees(np.arctan2(-x, y)))
+
+
+def nearest_quarter(roll: Floats, config: DiagnosisConfig) -> Ints:
+    """Return the quarter turn (90, 180 or 270 degrees) that a roll is near, 0 where it is none."""
+    quarters = np.round(np.nan_to_num(roll) / 90)
+    near = np.abs(np.nan_to_num(roll) - 90 * quarters) < config.upright_deg
+    return np.where(near, 90 * quarters % 360, 0).astype(np.int64)
+
+
+def _differ_from_others(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Bools:
+    """Return whether cameras `[view]` ask for other intrinsics, or exchanged sides.
+
+    Each is held against the points that the others place in the rig of all.
+    """
+    diagnosis = config.diagnosis
+    # a frame of a large rig shows more and takes longer: each camera is held against all others
+    large = max(1.0, len(rig) / config.view_graph.small_rig) ** 2
+    frames = evenly_spaced(labelled_frames(matches), max(round(_FRAMES / large), 20))
+    noise = view_noise(sample, rig, matches, config.triangulate)
+    seen = gather_tracks(sample, matches, frames)
+    keypoints = len(sample.keypoints)
+    odd = np.zeros(len(rig), dtype=bool)
+    for view in range(len(rig)):
+        others = np.where(_detections_of(seen, view, keypoints), seen.weight, 0.0)
+        others[view] = 0.0
+        points, _ = triangulate_rays(
+            rig, seen.rays, weight=others, noise=noise, config=config.triangulate
+        )
+        both = np.flatnonzero(np.isfinite(points[0]) & np.isfinite(seen.pixels[view, 0]))
+        if len(both) < diagnosis.least_keypoints:
+            continue
+        exchanged = _exchanged_share(rig, view, points, seen.pixels[view], sample.keypoints)
+        both = evenly_spaced(both, _KEYPOINTS)
+        known = Seen(
+            points=points[:, both].T,
+            pixels=seen.pixels[view][:, both].T,
+            block=both * diagnosis.time_blocks // points.shape[1],
+            keypoint=both % keypoints,
+        )
+        by_intrinsics = _evidence_of_intrinsics(rig, view, known, diagnosis) > 0
+        odd[view] = by_intrinsics or exchanged > diagnosis.exchanged_share / 2
+    return odd
+
+
+def _evidence_of_intrinsics(
+    rig: CameraRig, view: int, known: Seen, config: DiagnosisConfig
+) -> float:
+    """Return the log evidence (nats) for other intrinsics than sound ones, all at once."""
+    camera = rig.cameras[view]
+    start = CameraPose(rig.rotation[view], rig.translation[view])
+    rough = config.focal_noise * camera.focal
+    fit = fit_camera(camera, known, start, config.fit, noise=rough, free=_FREE)
+    size = np.array(camera.size) if all(camera.size) else np.full(2, 2 * camera.focal)
+    sound = np.array([config.sound_focal, *(config.sound_centre * size)])
+    faulty = np.array([config.faulty_focal, *(config.faulty_centre * size)])
+    return log_bayes_factor(fit.unknowns, fit.covariance, sound, faulty)
+
+
+def _detections_of(seen: Tracks, view: int, keypoints: int) -> Bools:
+    """Return `[N]` whether a view sees anything of the body that each point is of."""
+    bodies = np.isfinite(seen.pixels[view, 0]).reshape(-1, keypoints).any(1)
+    return np.repeat(bodies, keypoints)
+
+
+def _exchanged_share(
+    rig: CameraRig, view: int, points: Floats, pixels: Floats, keypoints: tuple[str, ...]
+) -> float:
+    """Return the share of a camera's detections that fit far better with sides exchanged.
+
+    points: `[3, N]`; pixels: `[2, N]`, N = detections x keypoints.
+    """
+    order = exchanged_sides(keypoints)
+    paired = order != np.arange(len(order))
+    if not paired.any():
+        return 0.0
+    in_camera = points.T @ rig.rotation[view].T + rig.translation[view]
+    image = pixels_from_points(rig.cameras[view], in_camera).reshape(-1, len(order), 2)
+    given = pixels.T.reshape(-1, len(order), 2)
+    errors = [np.linalg.norm(image - seen, axis=-1)[:, paired] for seen in (given, given[:, order])]
+    both = np.isfinite(errors[0]) & np.isfinite(errors[1])
+    count = both.sum(1)
+    mean = [np.where(both, error, 0.0).sum(1) / np.maximum(count, 1) for error in errors]
+    enough = count >= _LEAST_PAIRED
+    return float((mean[1] < _CLEARLY * mean[0])[enough].mean()) if enough.any() else 0.0
+
+
+# --- the rig without a camera
+
+
+@dataclass(frozen=True)
+class OtherCameras:
+    """The leave-one-out rig of a camera.
+
+    sample, placed: of the other cameras. frames: `[frame]` indices into the sample of some frames.
+    points: `[frame, individual, keypoint, 3]` in the rig's world, NaN = not placed. Individuals are
+        those of a frame, in any order.
+    covariance: of the rig. pair_score: mean over the pairs of the rig.
+    """
+
+    sample: Sample
+    placed: PlacedCameras
+    frames: Ints
+    points: Floats
+    covariance: RigCovariance
+    pair_score: float
+
+    @property
+    def rig(self) -> CameraRig:
+        """Of these cameras."""
+        return self.placed.rig
+
+
+def leave_out(
+    observed: Observed, view: int, config: Config, *, most_deg: float = VERDICT_LIMITS_DEG[-1]
+) -> OtherCameras | None:
+    """Return the leave-one-out rig of a view (index); None where the others determine no rig.
+
+    In a large rig the others are those that were paired with the view. most_deg: standard deviation
+    of the least certain camera.
+    """
+    others = _others(observed, view, config)
+    rough = replace(config, adjust=replace(config.adjust, rounds=1, points=4000))
+
+    def build(some: Observed) -> OtherCameras:
+        """Return the rig of some cameras."""
+        return _build(some, rough)
+
+    try:
+        group = camera_groups(others.recording.cameras, others.pairs, config.averaging)[0]
+        found = leave_out_underconstrained(others.select(group), build)
+    except DegenerateError:
+        return None
+    sigma = np.rad2deg(found.covariance.rotation_sigma.max())
+    return found if sigma < most_deg else None
+
+
+def _others(observed: Observed, view: int, config: Config) -> Observed:
+    """Return what the other cameras saw, in a large rig those that were paired with the view."""
+    names = observed.recording.names
+    if takes_all_pairs(len(names), config.view_graph):
+        return observed.without(names[view])
+    paired = [{pair.a, pair.b} - {view} for pair in observed.pairs if view in (pair.a, pair.b)]
+    return observed.select(np.array(sorted(set().union(*paired)), dtype=np.int64))
+
+
+def _build(observed: Observed, config: Config) -> OtherCameras:
+    """Return the rig of these cameras: average -> match -> adjust -> triangulate."""
+    sample, lifted = observed.sample, observed.lifted
+    averaged = average(observed.recording.cameras, observed.pairs, config.averaging)
+    matches = associate(sample, lifted, averaged.rig, config, progress=silent)
+    adjusted = adjust_until_stable(
+        sample, averaged.rig, matches, config, lifted=lifted, progress=silent
+    )
+    placed = PlacedCameras.of(sample, adjusted.rig, adjusted.matches, config)
+    frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
+    return OtherCameras(
+        sample=sample,
+        placed=placed,
+        frames=frames,
+        points=place_bodies(sample, placed, frames, config),
+        covariance=rig_covariance(sample, placed.rig, placed.matches, config),
+        pair_score=float(np.mean([pair.score for pair in observed.pairs])),
+    )
+
+
+def bent_points(others: OtherCameras, config: Config) -> list[tuple[float, Floats]]:
+    """Return points of slightly bent rigs, along the longest axes of the rig's covariance.
+
+    Each with one standard deviation along its axis, as a multiple of how far the rig was bent.
+    """
+    views, little = len(others.rig), 1e-4  # radians and sizes of the rig: for slopes
+    variances, axes = np.linalg.eigh(others.covariance.matrix.reshape(6 * views, 6 * views))
+    bent = []
+    for variance, axis in zip(variances[:-25:-1], axes.T[:-25:-1], strict=True):
+        rig = changed_rig(others.rig, little * axis.reshape(views, 6))
+        placed = replace(others.placed, rig=rig)
+        points = place_bodies(others.sample, placed, others.frames, config)
+        bent.append((np.sqrt(max(float(variance), 0.0)) / little, points))
+    return bent
