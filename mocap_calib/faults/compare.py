@@ -13,7 +13,7 @@ import numpy as np
 from mocap_calib.config import DECISIVE_NATS, Config, DiagnosisConfig
 from mocap_calib.faults.fits import FittedHypothesis, add_rig_uncertainty, fit_hypotheses
 from mocap_calib.faults.hypotheses import evidence_of_unknowns, mend_of
-from mocap_calib.faults.leave_one_out import bent_points, leave_out, screen_cameras
+from mocap_calib.faults.leave_one_out import bent_points, leave_out, pose_beside, screen_cameras
 from mocap_calib.faults.words import describe
 from mocap_calib.recording.corrections import Exchanged
 from mocap_calib.results import CalibrationResult, Fault, GroupResult
@@ -43,7 +43,7 @@ def find_faulty_cameras(
     if result.groups[0].uncertainty.wrong_focal.all():  # no camera is left to compare with
         return []
     views = screen_cameras(observed, result, config)[: config.diagnosis.candidates]
-    found = [_compare(observed, view, config, seed=result.seed) for view in views]
+    found = [_compare(observed, view, result, config) for view in views]
     alternatives = [each for each in found if each is not None]
     exact = [each for each in alternatives if each.faults[0].word in _EXACT]
     if len(exact) > 1:
@@ -52,12 +52,17 @@ def find_faulty_cameras(
     return alternatives
 
 
-def _compare(observed: Observed, view: int, config: Config, *, seed: int) -> Alternative | None:
+def _compare(
+    observed: Observed, view: int, result: CalibrationResult, config: Config
+) -> Alternative | None:
     """Return the best hypothesis of a view, None where nothing need be wrong with its input."""
     others = leave_out(observed, view, config)
     if others is None:
         return None
-    fitted, share = fit_hypotheses(observed, view, others, config, seed=seed)
+    in_rig, rig, name = None, result.groups[0].rig, observed.recording.names[view]
+    if {name, *others.rig.names} <= set(rig.names):
+        in_rig = pose_beside(others.rig, rig, name)
+    fitted, share = fit_hypotheses(observed, view, others, config, in_rig=in_rig, seed=result.seed)
     if not any(_evidence(each, share, config.diagnosis) > 0 for each in fitted):
         return None
     if any(each.hypothesis.free for each in fitted):
@@ -94,12 +99,14 @@ def _evidence(fitted: FittedHypothesis, share: float, config: DiagnosisConfig) -
 def _gained(fitted: FittedHypothesis, effective: float, config: DiagnosisConfig) -> float:
     """Return the gain (nats) of so many keypoints, and of cameras being upright mostly.
 
-    On other keypoints than those that it was fitted to: less by what unknowns gain of errors alone.
+    On other keypoints than those that it was fitted to: less by what unknowns gain of errors alone,
+    and no more than chance would hardly make of keypoints that differ so much (Vuong 1989).
     """
     upright = config.upright_nats if fitted.hypothesis.name.startswith("rotated") else 0.0
     pose = 6
     price = _price(pose + len(fitted.hypothesis.free), effective) - _price(pose, effective)
-    return upright + fitted.gain * effective - price
+    certain = fitted.gain * abs(fitted.gain) / max(2 * fitted.spread**2, 1e-300)
+    return upright + min(fitted.gain * effective - price, certain * effective)
 
 
 def _price(unknowns: int, keypoints: float) -> float:

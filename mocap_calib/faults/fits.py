@@ -37,7 +37,8 @@ class FittedHypothesis:
     """A hypothesis fitted to the keypoints of a camera.
 
     source: `[N]` indices of their points among those of the other cameras.
-    gain: by which it lowers the robust cost of a keypoint, against the input as given.
+    gain: by which it lowers the robust cost of a keypoint, against the input as given; spread: its
+        standard deviation over keypoints.
     effective: number of keypoints with independent gains that would tell as much.
     """
 
@@ -46,16 +47,25 @@ class FittedHypothesis:
     source: Ints
     fit: CameraFit
     gain: float
+    spread: float
     effective: float
 
 
 def fit_hypotheses(
-    observed: Observed, view: int, others: OtherCameras, config: Config, *, seed: int
+    observed: Observed,
+    view: int,
+    others: OtherCameras,
+    config: Config,
+    *,
+    in_rig: CameraPose | None,
+    seed: int,
 ) -> tuple[list[FittedHypothesis], float]:
     """Return the hypotheses of a view fitted to what it saw of the others' points.
 
     None where too few detections match any body. And the share of its detections that fit with
     exchanged sides alone.
+
+    in_rig: the pose of the camera beside the others in the rig of all, where it has one.
     """
     diagnosis, sample = config.diagnosis, observed.sample.select(frames=others.frames)
     sightings = _sightings(observed, view, others)
@@ -82,7 +92,7 @@ def fit_hypotheses(
         return [], 0.0
     starts = {sides: resections.get(sides, best) for sides in (False, True)}
     share = exchanged_share(sightings[False], sightings[True], best)
-    return _fit_all(tried, seen, source, (starts, best), diagnosis), share
+    return _fit_all(tried, seen, source, (starts, best, in_rig), diagnosis), share
 
 
 def _count_comparable(sighting: Sighting) -> int:
@@ -155,14 +165,14 @@ def _fit_all(
     tried: Sequence[Hypothesis],
     seen: dict[str, Seen],
     source: Ints,
-    found: tuple[dict[bool, Resection], Resection],
+    found: tuple[dict[bool, Resection], Resection, CameraPose | None],
     config: DiagnosisConfig,
 ) -> list[FittedHypothesis]:
     """Return the hypothesis that nothing is wrong, and the others that fit some keypoints best.
 
-    found: resections by whether sides are exchanged, and the best one.
+    found: resections by whether sides are exchanged, the best one, and the pose in the rig of all.
     """
-    by_sides, best = found
+    by_sides, best, in_rig = found
     few = evenly_spaced(np.arange(len(source)), _ROUGH_KEYPOINTS)
     noise = config.focal_noise * tried[0].camera.focal
     quick = replace(config.fit, steps=10)
@@ -171,6 +181,7 @@ def _fit_all(
         part = seen[each.name].select(few)
         resections = [best] if by_sides[each.sides] is best else [best, by_sides[each.sides]]
         starts = [pose for one in resections for pose in _starts(one, part.points)]
+        starts += [] if in_rig is None else [in_rig]
         fits = [
             fit_camera(each.camera, part, start, quick, noise=noise, free=each.free)
             for start in starts
@@ -195,7 +206,8 @@ def _fit_all(
     for each, fit, cost in zip(kept, fits, costs, strict=True):
         own, gain = seen[each.name], costs[0] - cost
         effective = effective_number(gain, (own.block, own.keypoint))
-        fitted.append(FittedHypothesis(each, own, source, fit, float(gain.mean()), effective))
+        mean, spread = float(gain.mean()), float(gain.std())
+        fitted.append(FittedHypothesis(each, own, source, fit, mean, spread, effective))
     return fitted
 
 

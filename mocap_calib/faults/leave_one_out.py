@@ -16,6 +16,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.hypotheses import log_bayes_factor
 from mocap_calib.geometry.alignment import changed_rig
 from mocap_calib.geometry.lens import pixels_from_points
+from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, Matches, RigCovariance
@@ -272,6 +273,17 @@ def _build(observed: Observed, config: Config) -> OtherCameras:
         covariance=rig_covariance(sample, placed.rig, placed.matches, config),
         pair_score=float(np.mean([pair.score for pair in observed.pairs])),
     )
+
+
+def pose_beside(others: CameraRig, rig: CameraRig, name: str) -> CameraPose:
+    """Return the pose of a camera of a rig in the world of other cameras, all of the same rig."""
+    view, same = rig.names.index(name), [rig.names.index(other) for other in others.names]
+    turn = nearest_rotation(np.einsum("vji,vjk->ik", others.rotation, rig.rotation[same]))
+    theirs, ours = others.centres, rig.centres[same] @ turn.T
+    scale = np.linalg.norm(theirs - theirs.mean(0)) / np.linalg.norm(ours - ours.mean(0))
+    centre = theirs.mean(0) + scale * (turn @ rig.centres[view] - ours.mean(0))
+    rotation = rig.rotation[view] @ turn.T
+    return CameraPose(rotation, -rotation @ centre)
 
 
 def bent_points(others: OtherCameras, config: Config) -> list[tuple[float, Floats]]:

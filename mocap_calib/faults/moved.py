@@ -19,9 +19,9 @@ from mocap_calib.faults.changes import (
     last_moments,
 )
 from mocap_calib.faults.compare import Alternative
-from mocap_calib.faults.leave_one_out import OtherCameras, leave_out
+from mocap_calib.faults.leave_one_out import OtherCameras, leave_out, pose_beside
 from mocap_calib.geometry.alignment import rig_size
-from mocap_calib.geometry.rotation import angle_between, nearest_rotation
+from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.recording.corrections import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.recording.timeline import own_name
@@ -102,8 +102,9 @@ def _find_changes(observed: Observed, rig: CameraRig, view: int, config: Config)
     seen = sightings_of(sample.rays[view][frames], bodies, config.moved.least_joints)
     if len(seen.frame) < 2 * config.moved.least_detections:
         return None
+    pose = pose_beside(others.rig, rig, names[view])
     epochs, evidence = find_epochs(
-        _pose_beside(others.rig, rig, view),
+        CameraPoses(pose.rotation[None], pose.translation[None]),
         seen,
         config.moved,
         least_noise=config.triangulate.least_noise_px / sample.cameras[view].focal,
@@ -114,17 +115,6 @@ def _find_changes(observed: Observed, rig: CameraRig, view: int, config: Config)
     return _Changed(
         view, epochs, observed.sample_frames[frames[seen.frame]], others, members, evidence
     )
-
-
-def _pose_beside(others: CameraRig, rig: CameraRig, view: int) -> CameraPoses:
-    """Return the pose of a view of a rig in the world of other cameras of the same rig."""
-    same = [rig.names.index(name) for name in others.names]
-    turn = nearest_rotation(np.einsum("vji,vjk->ik", others.rotation, rig.rotation[same]))
-    theirs, ours = others.centres, rig.centres[same] @ turn.T
-    scale = np.linalg.norm(theirs - theirs.mean(0)) / np.linalg.norm(ours - ours.mean(0))
-    centre = theirs.mean(0) + scale * (turn @ rig.centres[view] - ours.mean(0))
-    rotation = rig.rotation[view] @ turn.T
-    return CameraPoses(rotation[None], -(rotation @ centre)[None])
 
 
 # --- the frame, and the fault
