@@ -19,6 +19,8 @@ from mocap_calib import mapped
 from mocap_calib.records import Record, as_array, check_names, check_shape
 from mocap_calib.wording import count
 
+POSE = 6  # numbers of a change of pose: a turn and a shift
+
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.int64]

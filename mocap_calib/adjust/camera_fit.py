@@ -22,7 +22,7 @@ from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.observed import PlacedCameras
 from mocap_calib.rig.tracks import gather_tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate_rays
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Sample
+from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints, Sample
 
 Unknown = Literal["log_scale", "x", "y", "log_focal"]
 _MOST_LOG = 3.0  # no focal length is so many times another: beyond it a fit has run away
@@ -119,7 +119,7 @@ def fit_camera(
     return CameraFit(
         pose=unknowns.pose,
         unknowns=unknowns.others,
-        covariance=_covariance(found, seen, config.loss_scales[-1] * noise)[6:, 6:],
+        covariance=_covariance(found, seen, config.loss_scales[-1] * noise)[POSE:, POSE:],
         error=np.minimum(np.sqrt((found.residual**2).sum(0)), _FAR),
     )
 
@@ -145,7 +145,7 @@ def shift_of_unknowns(
         free=free,
         scale=config.loss_scales[-1] * noise,
     )
-    return solve_damped(system, damping=0.0)[6:]
+    return solve_damped(system, damping=0.0)[POSE:]
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ class _Unknowns:
     def moved(self, step: Floats) -> "_Unknowns":
         """Return the unknowns after a step `[parameter]`: turn, shift and others."""
         rotation = matrix_from_vector(step[:3]) @ self.pose.rotation
-        pose = CameraPose(rotation, self.pose.translation + step[3:6])
-        return _Unknowns(pose, self.others + step[6:])
+        pose = CameraPose(rotation, self.pose.translation + step[3:POSE])
+        return _Unknowns(pose, self.others + step[POSE:])
 
 
 def _system(

@@ -17,7 +17,7 @@ import numpy as np
 from mocap_calib.adjust.residuals import Linearised, Part, Residuals, State, parts_of
 from mocap_calib.adjust.solve import Parameters, eliminate_points, normal_equations
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.types import Floats, Ints
+from mocap_calib.types import POSE, Floats, Ints
 
 _LEAST_CURVATURE = 0.25  # share of that with fixed weights; measured 0.6 to 0.76
 
@@ -146,7 +146,7 @@ def _inverse_at_size(matrix: Floats, state: State) -> Floats:
     """
     first = -state.rotation[0].T @ state.translation[0]
     size = np.zeros(len(matrix))
-    moves = np.zeros((len(state.rotation) - 1, 6))
+    moves = np.zeros((len(state.rotation) - 1, POSE))
     moves[:, 3:] = state.translation[1:] + state.rotation[1:] @ first
     size[: moves.size] = moves.ravel()
     directions = np.linalg.svd(size[None])[2][1:].T  # all that leave the size as it is

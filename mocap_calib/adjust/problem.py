@@ -21,7 +21,7 @@ from mocap_calib.rig.tracks import (
     per_frame_labels,
 )
 from mocap_calib.rig.triangulate import triangulate_rays
-from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Recording, Sample
+from mocap_calib.types import POSE, Bools, Camera, CameraRig, Floats, Ints, Recording, Sample
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,14 +102,14 @@ def free_intrinsics(group: Ints, sigma: Floats) -> Parameters:
     sigma: `[view, intrinsic]` standard deviation of a change, the same in all views of a group.
     """
     views, intrinsics = sigma.shape
-    first_free = 6 * (views - 1)
+    first_free = POSE * (views - 1)
     groups, of_view, sizes = np.unique(group, return_inverse=True, return_counts=True)
-    basis = np.zeros((views, 6 + intrinsics, first_free + len(groups) * intrinsics))
+    basis = np.zeros((views, POSE + intrinsics, first_free + len(groups) * intrinsics))
     for view in range(views):
         if view > 0:
-            basis[view, :6, 6 * (view - 1) : 6 * view] = np.eye(6)
+            basis[view, :POSE, POSE * (view - 1) : POSE * view] = np.eye(POSE)
         start = first_free + of_view[view] * intrinsics
-        basis[view, 6:, start : start + intrinsics] = np.eye(intrinsics)
+        basis[view, POSE:, start : start + intrinsics] = np.eye(intrinsics)
     precision = 1 / (sigma**2 * sizes[of_view][:, None])
     return Parameters(basis=basis.reshape(-1, basis.shape[2]), precision=precision)
 
@@ -122,8 +122,8 @@ def free_clocks(free: Bools, sigma: float) -> Parameters:
     """
     every = np.eye(7 * len(free)).reshape(len(free), 7, -1)
     unknown = np.ones((len(free), 7), dtype=bool)
-    unknown[0, :6] = False
-    unknown[:, 6] = free
+    unknown[0, :POSE] = False
+    unknown[:, POSE] = free
     basis = every.reshape(7 * len(free), -1)[:, unknown.ravel()]
     return Parameters(basis=basis, precision=np.full((len(free), 1), sigma**-2))
 

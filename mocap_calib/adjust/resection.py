@@ -16,7 +16,7 @@ from mocap_calib.kernels.loading import contiguous
 from mocap_calib.kernels.resection import compare
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.observed import PlacedCameras, choose_frames, place_bodies
-from mocap_calib.types import Bools, Floats, Ints, Sample
+from mocap_calib.types import POSE, Bools, Floats, Ints, Sample
 
 _UNIT = 0.1  # radians: a tolerance that tells the nearest body from the others
 _RIDGE = 1e-9  # of the diagonal of normal equations
@@ -221,7 +221,7 @@ def _step(
     problem = _linearise(poses, points, rays, counted=counted, tolerance=tolerance)
     normal, target = problem.normal.sum(1), problem.target.sum(1)
     ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-12
-    change = -np.linalg.solve(normal + ridge * np.eye(6), target[..., None])[..., 0]
+    change = -np.linalg.solve(normal + ridge * np.eye(POSE), target[..., None])[..., 0]
     turn = matrix_from_vector(change[:, :3])
     moved = np.einsum("pij,pj->pi", turn, poses.translation)
     return CameraPoses(turn @ poses.rotation, moved + problem.depth[:, None] * change[:, 3:])
@@ -246,7 +246,7 @@ def _linearise(
     # across @ skew(in_camera) is skew(unit): what is along the ray does not turn it
     slope = np.concatenate([-skew(unit), across * depth[:, None, None, None, None]], axis=-1)
     number, detections = weight.shape[:2]
-    slope = slope.reshape(number, detections, -1, 6)
+    slope = slope.reshape(number, detections, -1, POSE)
     weighed = np.swapaxes(np.repeat(weight, 3, axis=2)[..., None] * slope, 2, 3)
     return Linear(
         normal=weighed @ slope,

@@ -24,7 +24,7 @@ from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
 from mocap_calib.results import Matches, RigCovariance
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
+from mocap_calib.types import POSE, Bools, CameraRig, Floats, Ints, Sample
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def _degrees_of_freedom(
     )
     spread = of_time**2 / periods + of_joints**2 / joints
     degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
-    return max(degrees, 6.0)  # those of a pose
+    return max(degrees, POSE)  # those of a pose
 
 
 def hotelling_factor(degrees: float) -> float:
@@ -212,14 +212,16 @@ def _of_poses(matrix: Floats, rig: CameraRig) -> RigCovariance:
     """
     views, size = len(rig.cameras), rig_size(rig)
     basis = free_poses(views).basis
-    poses = (basis @ matrix @ basis.T).reshape(views, 6, views, 6)
-    to_world = np.zeros((views, 6, 6))
+    poses = (basis @ matrix @ basis.T).reshape(views, POSE, views, POSE)
+    to_world = np.zeros((views, POSE, POSE))
     to_world[:, :3, :3] = np.swapaxes(rig.rotation, 1, 2)
     to_world[:, 3:, 3:] = -np.swapaxes(rig.rotation, 1, 2) / size
     turned = np.einsum("vij,vjwk,wlk->viwl", to_world, poses, to_world)
-    half = project_out_similarity(turned.reshape(views, 6, -1), rig)
-    whole = project_out_similarity(half.reshape(6 * views, 6 * views).T.reshape(views, 6, -1), rig)
-    return RigCovariance(matrix=whole.reshape(views, 6, views, 6), size=size)
+    half = project_out_similarity(turned.reshape(views, POSE, -1), rig)
+    whole = project_out_similarity(
+        half.reshape(POSE * views, POSE * views).T.reshape(views, POSE, -1), rig
+    )
+    return RigCovariance(matrix=whole.reshape(views, POSE, views, POSE), size=size)
 
 
 # --- rigs of parts of the recording

@@ -16,7 +16,7 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels import schur as kernels
 from mocap_calib.kernels.loading import contiguous
-from mocap_calib.types import Floats, Ints
+from mocap_calib.types import POSE, Floats, Ints
 
 # Levenberg and Marquardt's damping; more of it after a step that raised the cost, less after others
 _STEPS = 50
@@ -45,7 +45,7 @@ class Parameters:
     @property
     def intrinsics(self) -> Ints:
         """Index `[view, intrinsic]` of the free parameter that each of the intrinsics is."""
-        return np.asarray(self.by_view[:, 6:].argmax(2), dtype=np.int64)
+        return np.asarray(self.by_view[:, POSE:].argmax(2), dtype=np.int64)
 
     @property
     def by_view(self) -> Floats:
@@ -54,7 +54,7 @@ class Parameters:
 
     def prior(self, intrinsics: Floats) -> tuple[Floats, Floats]:
         """Return stiffness and gradient `[view, C]` of the prior at changes of intrinsics."""
-        of_pose = np.zeros((len(intrinsics), 6))
+        of_pose = np.zeros((len(intrinsics), POSE))
         gradient = np.concatenate([of_pose, self.precision * intrinsics], axis=1)
         return np.concatenate([of_pose, self.precision], axis=1), gradient
 
@@ -184,7 +184,7 @@ def normal_equations(rotation: Floats, linear: Linearised) -> NormalEquations:
 
     What is known of the intrinsics beforehand is not in them (`Parameters.prior`).
     """
-    (views, _, count), unknowns = linear.in_camera.shape, 6 + linear.by_intrinsics.shape[2]
+    (views, _, count), unknowns = linear.in_camera.shape, POSE + linear.by_intrinsics.shape[2]
     camera = np.empty((views, unknowns, 2, count))
     point, point_gradient = np.empty((3, 3, count)), np.empty((3, count))
     mixed = np.empty((views, unknowns, 3, count))
@@ -247,7 +247,7 @@ def _reduce(
     state: State, seen: Residuals, parameters: Parameters, loss_scale: float
 ) -> System[State]:
     """Optimise the points of a state, and return the system of the free parameters about it."""
-    unknowns = 6 + state.intrinsics.shape[1]
+    unknowns = POSE + state.intrinsics.shape[1]
     size = unknowns * len(state.rotation)
     matrix, gradient, stiffness = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     points, cost = [], 0.0
@@ -274,7 +274,7 @@ def _reduce(
 def _reduce_part(part: Part, loss_scale: float) -> tuple[Linearised, Floats, Floats, Floats]:
     """Return a block of points, optimised, and S, g and the diagonal of U of their cameras."""
     linear = part.seen.linearise(part.block, part.state, loss_scale)
-    (views, _, count), unknowns = linear.in_camera.shape, 6 + linear.by_intrinsics.shape[2]
+    (views, _, count), unknowns = linear.in_camera.shape, POSE + linear.by_intrinsics.shape[2]
     camera, side = np.empty((views, unknowns, 2, count)), np.empty((3, count))
     product = np.empty((views * unknowns, 3, count))
     given = contiguous(part.state.rotation, *_jacobians(linear), camera, product, side)
@@ -287,10 +287,10 @@ def _reduce_part(part: Part, loss_scale: float) -> tuple[Linearised, Floats, Flo
 def _move(state: State, cameras: Floats) -> State:
     """Return the state after steps of the cameras `[view, C]`."""
     rotation = matrix_from_vector(cameras[:, :3])
-    translation = np.einsum("vij,vj->vi", rotation, state.translation) + cameras[:, 3:6]
+    translation = np.einsum("vij,vj->vi", rotation, state.translation) + cameras[:, 3:POSE]
     return State(
         rotation=rotation @ state.rotation,
         translation=translation,
         points=state.points,
-        intrinsics=state.intrinsics + cameras[:, 6:],
+        intrinsics=state.intrinsics + cameras[:, POSE:],
     )

@@ -22,7 +22,7 @@ from mocap_calib.adjust.resection import (
 )
 from mocap_calib.config import DECISIVE_NATS, MovedConfig
 from mocap_calib.rig.tracks import MEDIAN_DISTANCE
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.types import POSE, Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,8 @@ def split_gains(
     moments = np.arange(first + least, last - least + 1)
     if not len(moments):
         return np.zeros(0), moments
-    normals = np.concatenate([np.zeros((1, 6, 6)), normal[first:last].cumsum(0)])
-    targets = np.concatenate([np.zeros((1, 6)), target[first:last].cumsum(0)])
+    normals = np.concatenate([np.zeros((1, POSE, POSE)), normal[first:last].cumsum(0)])
+    targets = np.concatenate([np.zeros((1, POSE)), target[first:last].cumsum(0)])
     here = moments - first
     whole = _explained(normals[-1:], targets[-1:])[0]
     before = _explained(normals[here], targets[here])
@@ -140,7 +140,7 @@ def split_gains(
 def _explained(normal: Floats, target: Floats) -> Floats:
     """Return b' A^-1 b, by how much the best step lowers the squared error, `[...]`."""
     ridge = 1e-9 * np.trace(normal, axis1=-2, axis2=-1)[..., None, None] + 1e-12
-    step = np.linalg.solve(normal + ridge * np.eye(6), target[..., None])[..., 0]
+    step = np.linalg.solve(normal + ridge * np.eye(POSE), target[..., None])[..., 0]
     return np.asarray((step * target).sum(-1))
 
 

@@ -18,6 +18,7 @@ from mocap_calib.faults.words import describe
 from mocap_calib.recording.corrections import Exchanged
 from mocap_calib.results import CalibrationResult, Fault, GroupResult
 from mocap_calib.rig.observed import Observed
+from mocap_calib.types import POSE
 
 _LEAST_DIFFERENCE = 0.01  # of the logarithms of focal lengths; to exchange equal ones is harmless
 _SYSTEMATIC = 0.01  # error of a change of focal length beyond its standard deviation
@@ -103,8 +104,7 @@ def _gained(fitted: FittedHypothesis, effective: float, config: DiagnosisConfig)
     and no more than chance would hardly make of keypoints that differ so much (Vuong 1989).
     """
     upright = config.upright_nats if fitted.hypothesis.name.startswith("rotated") else 0.0
-    pose = 6
-    price = _price(pose + len(fitted.hypothesis.free), effective) - _price(pose, effective)
+    price = _price(POSE + len(fitted.hypothesis.free), effective) - _price(POSE, effective)
     certain = fitted.gain * abs(fitted.gain) / max(2 * fitted.spread**2, 1e-300)
     return upright + min(fitted.gain * effective - price, certain * effective)
 

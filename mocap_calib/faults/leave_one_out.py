@@ -36,7 +36,7 @@ from mocap_calib.rig.tracks import (
     view_noise,
 )
 from mocap_calib.rig.triangulate import triangulate_rays
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample, silent
+from mocap_calib.types import POSE, Bools, CameraRig, Floats, Ints, Sample, silent
 
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
 _LOW_SCORE = 0.8  # of a camera's pairs, as a share of that of the other pairs
@@ -292,10 +292,10 @@ def bent_points(others: OtherCameras, config: Config) -> list[tuple[float, Float
     Each with one standard deviation along its axis, as a multiple of how far the rig was bent.
     """
     views, little = len(others.rig), 1e-4  # radians and sizes of the rig: for slopes
-    variances, axes = np.linalg.eigh(others.covariance.matrix.reshape(6 * views, 6 * views))
+    variances, axes = np.linalg.eigh(others.covariance.matrix.reshape(POSE * views, POSE * views))
     bent = []
     for variance, axis in zip(variances[:-25:-1], axes.T[:-25:-1], strict=True):
-        rig = changed_rig(others.rig, little * axis.reshape(views, 6))
+        rig = changed_rig(others.rig, little * axis.reshape(views, POSE))
         placed = replace(others.placed, rig=rig)
         points = place_bodies(others.sample, placed, others.frames, config)
         bent.append((np.sqrt(max(float(variance), 0.0)) / little, points))

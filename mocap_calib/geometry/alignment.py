@@ -16,7 +16,7 @@ from mocap_calib.geometry.rotation import (
     skew,
     vector_from_matrix,
 )
-from mocap_calib.types import CameraRig, Floats
+from mocap_calib.types import POSE, CameraRig, Floats
 
 
 class Similarity(NamedTuple):
@@ -95,7 +95,7 @@ def project_out_similarity(change: Floats, rig: CameraRig) -> Floats:
     change: `[view, 6, ...]` turns about the axes of the world (radians) and shifts of the centres,
         in sizes of the rig.
     """
-    flat = change.reshape(6 * len(rig.cameras), -1)
+    flat = change.reshape(POSE * len(rig.cameras), -1)
     basis, _ = np.linalg.qr(gauge_of(rig).reshape(len(flat), 7))
     return np.asarray((flat - basis @ (basis.T @ flat)).reshape(change.shape))
 
@@ -106,11 +106,11 @@ def gauge_of(rig: CameraRig) -> Floats:
     Turns about the axes of the world, shifts in sizes of the rig, as of `RigCovariance`.
     """
     offset = (rig.centres - rig.centres.mean(0)) / rig_size(rig)
-    gauge = np.zeros((len(rig.cameras), 6, 7))
+    gauge = np.zeros((len(rig.cameras), POSE, 7))
     gauge[:, :3, :3] = -np.eye(3)  # the world turns by phi: all cameras turn by -phi ...
     gauge[:, 3:, :3] = -skew(offset)  # ... and their centres go about its middle
-    gauge[:, 3:, 3:6] = np.eye(3)
-    gauge[:, 3:, 6] = offset
+    gauge[:, 3:, 3:-1] = np.eye(3)
+    gauge[:, 3:, -1] = offset
     return gauge
 
 

@@ -18,7 +18,7 @@ from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.alignment import gauge_of, rig_size
 from mocap_calib.geometry.rotation import angle_between, vector_from_matrix
 from mocap_calib.results import Cause, RigCovariance, Verdict, Verification, VerifiedCamera
-from mocap_calib.types import Bools, CameraRig, Floats
+from mocap_calib.types import POSE, Bools, CameraRig, Floats
 from mocap_calib.verdict.checks import OPEN_DEG
 from mocap_calib.verdict.evaluation import lay_over
 from mocap_calib.verdict.verdict import expected_error
@@ -94,7 +94,7 @@ def _covariance(
     It has the shape of that of independent errors, which says best what the images show, and the
     size of the one that errors really have. covariances: as of `cautious_covariances`.
     """
-    size = 6 * len(rig)
+    size = POSE * len(rig)
     real, independent = (each.matrix.reshape(size, size) for each in covariances)
     excess = np.trace(real) / np.trace(independent)
     floor = np.deg2rad(config.verify.least_error_deg) ** 2 * np.eye(size)
@@ -134,7 +134,7 @@ class _Rigs:
         known = rest if len(rest) > 1 else np.append(rest, free[-1])
         difference = _change(self.adjusted, lay_over(self.given, self.adjusted, known))
         size = len(difference)
-        own = np.eye(size).reshape(size, -1, 6)[:, list(free)].reshape(size, -1)
+        own = np.eye(size).reshape(size, -1, POSE)[:, list(free)].reshape(size, -1)
         gauge = gauge_of(self.adjusted).reshape(size, -1)
         whiten = np.linalg.inv(np.linalg.cholesky(self.covariance))
         design = whiten @ np.concatenate([own, gauge], axis=1)
@@ -144,8 +144,8 @@ class _Rigs:
         degrees = size - design.shape[1]
         # the errors hold also where the others disagree by more than they should
         excess = max(1.0, cost / max(degrees, 1))
-        move, by_camera = found[: own.shape[1]].reshape(-1, 6), inverse[: own.shape[1]]
-        by_camera = by_camera.reshape(-1, 6, size)
+        move, by_camera = found[: own.shape[1]].reshape(-1, POSE), inverse[: own.shape[1]]
+        by_camera = by_camera.reshape(-1, POSE, size)
         covariance = excess * by_camera @ by_camera.swapaxes(1, 2)
         ratio = np.einsum("ci,cij,cj->c", move, np.linalg.pinv(covariance, hermitian=True), move)
         variance = np.einsum("cii->ci", covariance)
@@ -155,7 +155,7 @@ class _Rigs:
             degrees=degrees,
             size=np.linalg.norm(move.reshape(-1, 2, 3), axis=2) * unknown,
             sigma=np.sqrt(variance.reshape(-1, 2, 3).sum(2)) * unknown,
-            chance=np.asarray(fdtrc(6, degrees, ratio / 6)),
+            chance=np.asarray(fdtrc(POSE, degrees, ratio / POSE)),
         )
 
 

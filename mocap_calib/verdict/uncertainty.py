@@ -30,7 +30,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import Matches, RigCovariance, Uncertainty
 from mocap_calib.rig.tracks import labelled_frames
-from mocap_calib.types import Bools, Camera, CameraRig, EstimatedCamera, Floats, Ints, Sample
+from mocap_calib.types import POSE, Bools, Camera, CameraRig, EstimatedCamera, Floats, Ints, Sample
 
 _SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
 
@@ -113,7 +113,7 @@ def assumed_middle_changes(rig: CameraRig, config: UncertaintyConfig) -> Floats:
         for view, camera in enumerate(rig.cameras)
         if isinstance(camera, EstimatedCamera) and _is_in_the_middle(camera)
     ]
-    return np.concatenate([np.zeros((0, len(rig.cameras), 6)), *changes])
+    return np.concatenate([np.zeros((0, len(rig.cameras), POSE)), *changes])
 
 
 def with_uncertain_corner(
@@ -148,7 +148,7 @@ def _middle_changes(rig: CameraRig, view: int, sigma: float) -> Floats:
 
     sigma: in pixels, along both axes of the image of that view.
     """
-    changes = np.zeros((2, len(rig.cameras), 6))
+    changes = np.zeros((2, len(rig.cameras), POSE))
     # x and y of the camera, in the world
     changes[:, view, :3] = sigma / rig.cameras[view].focal * rig.rotation[view, :2]
     return np.stack([project_out_similarity(change, rig) for change in changes])
@@ -182,7 +182,7 @@ def estimated_focal_changes(
         _change_with_focal(sample, rig, matches, config, np.where(group == number, sigma, 0.0))
         for number in np.unique(group[sigma > 0])
     ]
-    return np.array(changes).reshape(-1, len(rig.cameras), 6)
+    return np.array(changes).reshape(-1, len(rig.cameras), POSE)
 
 
 def _estimated_together(cameras: tuple[Camera, ...], sigma: Floats, config: Config) -> Ints:
