@@ -13,7 +13,7 @@ import numpy as np
 
 from mocap_calib.config import ResectionConfig
 from mocap_calib.kernels.loading import contiguous
-from mocap_calib.kernels.projection import cost_detections
+from mocap_calib.kernels.resection import cost_detections
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.kernels import sizes
 from mocap_calib.kernels.pair_refinement import LANES
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import LiftedPoses
@@ -156,10 +155,10 @@ def distances_by_size(rays: Floats) -> Floats:
     since two of three dimensions are seen. rays: `[..., keypoint, 3]` unit rays, NaN = missing.
     Returns `[...]` body sizes.
     """
-    distance = np.empty(rays.shape[:-2])
-    bodies = np.ascontiguousarray(rays).reshape(-1, *rays.shape[-2:])
-    sizes.distances_by_size(bodies, distance.reshape(-1))
-    return distance
+    count = np.isfinite(rays[..., :1]).sum(-2)
+    mean = np.nansum(rays, axis=-2) / np.maximum(count, 1)
+    square = np.where(count[..., 0] > 0, 1 - (mean**2).sum(-1), 0.0)
+    return np.sqrt(2 / 3 / np.maximum(square, 1e-8))
 
 
 def _bodies(lifted: LiftedPoses, view: int, frames: Ints) -> tuple[Floats, Floats, Floats]:
