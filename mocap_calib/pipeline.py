@@ -2,8 +2,8 @@
 
 sample -> lift -> pairs -> loops -> synchronise, and for each group of cameras that see the same
 bodies:
-average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate -> verdict
--> smooth -> world.
+average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate; then
+faults -> smooth -> verdict -> world.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
