@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from faults.test_hypotheses import CHANGES, plain
+from faults.test_fault_hypotheses import CHANGES, plain
 from scenes import calibrate_all, rotation_errors_deg, scene
 
 from mocap_calib.faults.mend import _sides_of_others

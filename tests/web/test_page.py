@@ -239,7 +239,7 @@ def test_an_explanation_comes_by_keyboard_and_by_mouse(page):
     number.focus()
     assert tip.is_visible()
     assert "standard deviation" in tip.inner_text()
-    assert "below 1° is well determined" in tip.inner_text()
+    assert "one cause of the expected error" in tip.inner_text()
     assert "verdict.rotation_sigma_deg.max" in tip.inner_text()
     assert number.get_attribute("aria-describedby") == tip.get_attribute("id")
     page.keyboard.press("Escape")
