@@ -74,7 +74,10 @@ def _compare(
     if not enough:
         return None
     effective = min(fitted[k].effective for k in enough)  # one number: all see the same keypoints
-    best = max(enough, key=lambda k: _gained(fitted[k], effective, config.diagnosis))
+    best = max(
+        enough,
+        key=lambda k: _upright(fitted[k], config.diagnosis) + _gained(fitted[k], effective),
+    )
     # any camera beside a faulty one looks faulty itself, and of two halves of a rig whose sides
     # differ, the one whose bodies are lifted more alike is right
     nats = fitted[best].gain * len(fitted[best].source) * others.pair_score**2
@@ -91,22 +94,28 @@ def _evidence(fitted: FittedHypothesis, share: float, config: DiagnosisConfig) -
         return 0.0
     if name == "sides" and share > config.exchanged_share:
         return share * fitted.effective  # a nat each, for those that fit exchanged alone
-    gained = _gained(fitted, fitted.effective, config)
+    # no more than chance would hardly make of keypoints that differ so much (Vuong 1989)
+    certain = fitted.gain * abs(fitted.gain) / max(2 * fitted.spread**2, 1e-300)
+    gained = _upright(fitted, config) + min(
+        _gained(fitted, fitted.effective), certain * fitted.effective
+    )
     if fitted.hypothesis.free:
         return min(evidence_of_unknowns(fitted.hypothesis, fitted.fit, config), gained)
     return gained
 
 
-def _gained(fitted: FittedHypothesis, effective: float, config: DiagnosisConfig) -> float:
-    """Return the gain (nats) of so many keypoints, and of cameras being upright mostly.
+def _upright(fitted: FittedHypothesis, config: DiagnosisConfig) -> float:
+    """Return the evidence (nats) of a camera on its side that its images are rotated."""
+    return config.upright_nats if fitted.hypothesis.name.startswith("rotated") else 0.0
 
-    On other keypoints than those that it was fitted to: less by what unknowns gain of errors alone,
-    and no more than chance would hardly make of keypoints that differ so much (Vuong 1989).
+
+def _gained(fitted: FittedHypothesis, effective: float) -> float:
+    """Return the gain (nats) of so many keypoints, others than those that were fitted.
+
+    It is less by what unknowns gain of errors alone.
     """
-    upright = config.upright_nats if fitted.hypothesis.name.startswith("rotated") else 0.0
     price = _price(POSE + len(fitted.hypothesis.free), effective) - _price(POSE, effective)
-    certain = fitted.gain * abs(fitted.gain) / max(2 * fitted.spread**2, 1e-300)
-    return upright + min(fitted.gain * effective - price, certain * effective)
+    return fitted.gain * effective - price
 
 
 def _price(unknowns: int, keypoints: float) -> float:
