@@ -143,8 +143,13 @@ DOORS = {  # module: where alone it is imported
 @pytest.mark.parametrize("path", SOURCES, ids=[str(p.relative_to(ROOT)) for p in SOURCES])
 def test_files_are_short_and_documented(path):
     text = path.read_text("utf-8")
-    assert len(text.splitlines()) <= 330 or path.name in IN_ONE_PLACE
+    assert len(text.splitlines()) <= 420 or path.name in IN_ONE_PLACE
     assert ast.get_docstring(ast.parse(text)), "a module says what it is for"
+
+
+def test_long_files_are_few():
+    lengths = [len(path.read_text("utf-8").splitlines()) for path in SOURCES]
+    assert sum(length > 330 for length in lengths) <= len(lengths) // 10
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=[str(p.relative_to(ROOT)) for p in SOURCES])
