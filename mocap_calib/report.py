@@ -29,7 +29,7 @@ from mocap_calib.results import (
 from mocap_calib.rig.averaging import WEIGHT_AT_SCALE, best_scores
 from mocap_calib.rig.loops import alternative_taken
 from mocap_calib.types import EstimatedCamera, Floats
-from mocap_calib.verdict.explained import distances_from_points
+from mocap_calib.verdict.checks import residuals_of
 
 SCHEMA = 3  # goes up when a key of run.json goes or changes its meaning
 
@@ -41,7 +41,7 @@ def run_report(
 
     inputs: path -> SHA-256. What is not known is None.
     """
-    error, sigmas = distances_from_points(group), describe_pair_sigmas(group)
+    error, sigmas = residuals_of(group).distance, describe_pair_sigmas(group)
     frames = group.recording.frames
     return {
         "schema": SCHEMA,
@@ -75,7 +75,7 @@ def run_report(
 
 def rig_report(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
     """Return the part of `run_report` that says how far the cameras of a group can be trusted."""
-    error = distances_from_points(group)
+    error = residuals_of(group).distance
     return {
         "unit": group.rig.unit,
         "verdict": describe_verdict(group),

@@ -24,8 +24,7 @@ from mocap_calib.html_report.frames import choose_frames, quantiles, starts_of_s
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import Reference
 from mocap_calib.types import CameraRig
-from mocap_calib.verdict.checks import CHECKS
-from mocap_calib.verdict.explained import Leftover
+from mocap_calib.verdict.checks import CHECKS, find_residuals
 
 ROOT = Path(__file__).parents[1]
 LIMIT = 3_000_000  # bytes
@@ -135,7 +134,7 @@ def test_detections_are_where_they_were_seen():
 def test_errors_are_those_of_the_points():
     given = source()
     frames = np.arange(len(given.poses.frames))
-    left = Leftover.of_points(
+    left = find_residuals(
         given.seen.recording, given.seen.matches, given.rig, given.poses.raw, frames
     )
     fits = data()["fits"]

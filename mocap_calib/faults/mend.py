@@ -20,7 +20,7 @@ from mocap_calib.results import CalibrationResult, Clocks, Fault, GroupResult, M
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.observed import Observed
 from mocap_calib.types import Recording
-from mocap_calib.verdict.explained import explained_share, usual_distance
+from mocap_calib.verdict.checks import report_frames, residuals_of
 
 # what was known before the rigs of a recording were built, and all that was found
 Calibrated = tuple[Observed, CalibrationResult]
@@ -191,16 +191,31 @@ def log_spread(observed: Observed, camera: str) -> float:
 
 
 def _explained_shares(recording: Recording, results: Sequence[Calibrated]) -> list[float]:
-    """Return the share (0..1) of the detections that each of some results explains.
+    """Return the share (0..1) of all detected keypoints that each of some results explains.
 
-    By the yardstick of the one with the smallest errors: a loose one makes all look alike.
+    A keypoint counts 1 / (1 + (e / width)^2), e being its distance from its triangulated point, and
+    nothing where it is unmatched or its camera is left out. The width is the median distance of the
+    result with the smallest errors, in pixels of the cameras of the first: a loose one makes all
+    results look alike.
 
     recording: as it was handed in, with what lenses cannot undo before they are corrected.
     """
-    yardsticks = [usual_distance(result, observed.recording) for observed, result in results]
-    smallest = min(yardstick.angle for yardstick in yardsticks)
-    strict = replace(yardsticks[0], angle=smallest)
-    return [explained_share(result, recording, strict) for _, result in results]
+    errors = [residuals_of(result.groups[0]).distance for _, result in results]
+    focal = {camera.name: camera.focal for camera in results[0][0].recording.cameras}
+    own = [np.array([camera.focal for camera in each.groups[0].rig.cameras]) for _, each in results]
+    angle = min(
+        float(np.nanmedian(error / each[:, None, None, None]))
+        for error, each in zip(errors, own, strict=True)
+    )
+    detected = int(recording.select(frames=report_frames(recording)).seen.sum())
+    shares = []
+    for error, (_, result) in zip(errors, results, strict=True):
+        width = np.array(
+            [focal.get(each.name, each.focal) for each in result.groups[0].rig.cameras]
+        )
+        fit = 1 / (1 + (error / (angle * width[:, None, None, None])) ** 2)
+        shares.append(float(np.nansum(fit)) / max(detected, 1))
+    return shares
 
 
 # --- clocks

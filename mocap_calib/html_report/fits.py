@@ -15,7 +15,7 @@ from mocap_calib.html_report.source import Seen
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Poses3D
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording
-from mocap_calib.verdict.explained import Leftover
+from mocap_calib.verdict.checks import Residuals, find_residuals
 
 _CONFIG = ReportConfig()
 _SHARES = (0.5, 0.95)
@@ -30,12 +30,12 @@ def describe_fits(seen: Seen, rig: CameraRig, poses: Poses3D) -> dict[str, Any]:
     each = max(1, len(rig) * matches.individuals * len(recording.keypoints))
     count = min(REPORT_FRAMES, max(1, _CONFIG.most_keypoints // each))
     frames = evenly_spaced(np.arange(len(recording.frames)), count)
-    leftover = Leftover.of_points(recording, matches, rig, poses.raw, frames)
+    residuals = find_residuals(recording, matches, rig, poses.raw, frames)
     columns, rows = _CONFIG.cells if len(rig) <= _CONFIG.many_views else _CONFIG.few_cells
     views = range(len(rig))
 
     def grid(view: int) -> tuple[Ints, Floats, Ints]:
-        counts, mean = _grid_errors(recording.cameras[view], view, leftover, (columns, rows))
+        counts, mean = _grid_errors(recording.cameras[view], view, residuals, (columns, rows))
         return counts, mean, _grid_unmatched(seen, view, frames, (columns, rows))
 
     counts, mean, unmatched = map(np.stack, zip(*map_in_threads(grid, views), strict=True))
@@ -47,17 +47,17 @@ def describe_fits(seen: Seen, rig: CameraRig, poses: Poses3D) -> dict[str, Any]:
         "unmatched": pack(small_ints(unmatched)),
         "residual_scale": scale,
         "residuals": pack(quantise(mean, scale)),
-        "by_joint": pack_floats(_errors_by_joint(leftover)),
-        **_errors_over_time(recording, leftover, frames),
+        "by_joint": pack_floats(_errors_by_joint(residuals)),
+        **_errors_over_time(recording, residuals, frames),
         "looked_at": len(frames),
     }
 
 
 def _grid_errors(
-    camera: Camera, view: int, leftover: Leftover, grid: tuple[int, int]
+    camera: Camera, view: int, residuals: Residuals, grid: tuple[int, int]
 ) -> tuple[Ints, Floats]:
     """Return counts `[row, column]` and mean gaps `[row, column, 2]` in pixels of a view."""
-    pixels, gap = leftover.pixels[view].reshape(2, -1), leftover.gap[view].reshape(2, -1)
+    pixels, gap = residuals.pixels[view].reshape(2, -1), residuals.gap[view].reshape(2, -1)
     known = np.isfinite(gap).all(0)
     cell = _cells_of(camera, pixels[:, known], grid)
     columns, rows = grid
@@ -92,20 +92,20 @@ def _cells_of(camera: Camera, pixels: Floats, grid: tuple[int, int]) -> Ints:
     return row * grid[0] + column
 
 
-def _errors_by_joint(leftover: Leftover) -> Floats:
+def _errors_by_joint(residuals: Residuals) -> Floats:
     """Return median errors `[view, keypoint]` in pixels."""
-    distance = leftover.distance
+    distance = residuals.distance
     views, _, _, keypoints = distance.shape
     by_joint = np.moveaxis(distance, -1, 1).reshape(views, keypoints, -1)
     return quantiles(by_joint, _SHARES)[0]
 
 
-def _errors_over_time(recording: Recording, leftover: Leftover, frames: Ints) -> dict[str, Any]:
+def _errors_over_time(recording: Recording, residuals: Residuals, frames: Ints) -> dict[str, Any]:
     """Return the medians and 95th percentiles of the errors of views in bins of frames."""
-    views = len(leftover.distance)
+    views = len(residuals.distance)
     most = max(_CONFIG.least_bins, min(_CONFIG.most_bins, _CONFIG.view_bins // max(1, views)))
     edges = split_evenly(len(frames), most)
-    by_frame = leftover.distance.reshape(views, len(frames), -1)
+    by_frame = residuals.distance.reshape(views, len(frames), -1)
     found = np.stack(
         [
             quantiles(by_frame[:, first:last].reshape(views, -1), _SHARES)

@@ -13,15 +13,15 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.config import VERDICT_LIMITS_DEG, Config
+from mocap_calib import mapped
+from mocap_calib.config import REPORT_FRAMES, VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.epipolar import plane_errors
-from mocap_calib.geometry.lens import unproject_views
+from mocap_calib.geometry.lens import project_views, unproject_views
 from mocap_calib.recording.sampling import evenly_spaced, known_medians
-from mocap_calib.results import Check, GroupResult
+from mocap_calib.results import Check, GroupResult, Matches
 from mocap_calib.rig.averaging import best_scores
-from mocap_calib.rig.tracks import labelled_frames, matched_share
-from mocap_calib.types import Floats
-from mocap_calib.verdict.explained import Leftover, focal_lengths
+from mocap_calib.rig.tracks import labelled_frames, matched_pixels, matched_share
+from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
 # of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras
 # with estimated intrinsics are off by 2 to 5 deg in five of eight recordings, by 21 to 40 in three
@@ -32,6 +32,49 @@ _STRETCH_KEYPOINTS = 30  # of a camera, that a stretch of time has at least
 
 
 @dataclass(frozen=True)
+class Residuals:
+    """Detections, and how far from them the points of their bodies are projected, in pixels.
+
+    Of an even sample of the frames, so that a long recording need not cost its length in memory.
+
+    pixels, gap: `[view, 2, frame, individual, keypoint]` the detections, and the way from them to
+        the projections; NaN = missing.
+    """
+
+    pixels: Floats
+    gap: Floats
+
+    @property
+    def distance(self) -> Floats:
+        """Length of the gaps, `[view, frame, individual, keypoint]`."""
+        return np.asarray(np.linalg.norm(self.gap, axis=1))
+
+
+def residuals_of(group: GroupResult) -> Residuals:
+    """Return the residuals of the matched keypoints and the triangulated points of a group."""
+    frames = report_frames(group.recording)
+    return find_residuals(group.recording, group.matches, group.rig, group.poses.raw, frames)
+
+
+def find_residuals(
+    recording: Recording, matches: Matches, rig: CameraRig, points: Floats, frames: Ints
+) -> Residuals:
+    """Return the residuals of points `[frame, individual, keypoint, 3]` in some frames (indices).
+
+    rig: of the cameras of the recording.
+    """
+    seen, _ = matched_pixels(recording, matches, frames)
+    pixels = np.moveaxis(seen, -1, 1)
+    projected = project_views(rig, mapped.take(points, frames).reshape(-1, 3).T)
+    return Residuals(pixels, projected.reshape(pixels.shape) - pixels)
+
+
+def report_frames(recording: Recording) -> Ints:
+    """Return the frames (indices) that are looked at: evenly spread, and not too many."""
+    return evenly_spaced(np.arange(len(recording.frames)), REPORT_FRAMES)
+
+
+@dataclass(frozen=True)
 class Look:
     """A group of cameras, and the residuals of its points.
 
@@ -39,15 +82,9 @@ class Look:
     """
 
     group: GroupResult
-    left: Leftover
+    left: Residuals
     error: Floats
     config: Config
-
-    @classmethod
-    def at(cls, group: GroupResult, config: Config) -> "Look":
-        """Return what the checks of a group are made of."""
-        left = Leftover.of(group)
-        return cls(group, left, np.rad2deg(left.distance / focal_lengths(group)), config)
 
 
 # Of the whole rig
@@ -127,7 +164,7 @@ def over_time(look: Look) -> Floats:
     As of a camera that was moved: what a tenth of all stretches of time exceed. A shorter time is
     that of false detections.
     """
-    gap = np.rad2deg(look.left.gap / focal_lengths(look.group)[:, None])
+    gap = np.rad2deg(look.left.gap / _focal_lengths(look.group)[:, None])
     stretches = np.array_split(gap, look.config.uncertainty.time_blocks, axis=2)
     counts = np.stack([np.isfinite(part[:, 0]).sum((1, 2, 3)) for part in stretches])
     # a stretch in which a camera matches little does not show where it is
@@ -141,6 +178,11 @@ def over_time(look: Look) -> Floats:
 def errors(look: Look) -> Floats:
     """Return the median error `[view]` of the detections."""
     return _medians(look.error)
+
+
+def _focal_lengths(group: GroupResult) -> Floats:
+    """Return the focal lengths in pixels, `[view, 1, 1, 1]`."""
+    return np.array([camera.focal for camera in group.rig.cameras])[:, None, None, None]
 
 
 def _medians(values: Floats) -> Floats:
@@ -195,7 +237,8 @@ def kind_of(check: Check) -> CheckKind:
 
 def check_rig(group: GroupResult, config: Config) -> tuple[Check, ...]:
     """Return all checks of the rig of a group."""
-    look = Look.at(group, config)
+    left = residuals_of(group)
+    look = Look(group, left, np.rad2deg(left.distance / _focal_lengths(group)), config)
     return tuple(kind.check(look) for kind in CHECKS)
 
 

@@ -33,8 +33,7 @@ from mocap_calib.rig.observed import Observed
 from mocap_calib.rig.tracks import labelled_frames
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, CameraRig, EstimatedCamera, Progress, Sample, silent
-from mocap_calib.verdict.checks import OPEN_DEG, check_rig, kind_of
-from mocap_calib.verdict.explained import report_frames
+from mocap_calib.verdict.checks import OPEN_DEG, check_rig, kind_of, report_frames
 from mocap_calib.verdict.uncertainty import assess_uncertainty, with_uncertain_corner
 from mocap_calib.wording import count
 
