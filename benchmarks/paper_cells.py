@@ -21,7 +21,7 @@ from protocol_scenes import KINDS, Subjects, Truth, misplace, scene
 
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.lift.weights import shipped_weights
+from mocap_calib.lift.lifter import shipped_weights
 from mocap_calib.pipeline import calibrate
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, Sample, silent

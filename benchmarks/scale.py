@@ -31,7 +31,7 @@ import numpy as np
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, looking_along
 from mocap_calib.io.cameras.own import format_calibration_toml
-from mocap_calib.lift.weights import load_lifter
+from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.synchronise import make_recording

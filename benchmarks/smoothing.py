@@ -28,7 +28,7 @@ import mocap_calib as mc
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.results.matches_csv import read_matches_csv
-from mocap_calib.lift.weights import AUTO, choose_model, load_vocabulary
+from mocap_calib.lift.lifter import AUTO, choose_model, load_vocabulary
 from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import Matches

@@ -25,7 +25,7 @@ from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.lift.lift import lift
-from mocap_calib.lift.weights import choose_model
+from mocap_calib.lift.lifter import choose_model
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.results import LiftedPoses

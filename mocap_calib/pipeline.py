@@ -25,8 +25,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.mend import add_clocks, mend_faults
 from mocap_calib.identities.track import finalise_identities
 from mocap_calib.lift.lift import RememberedLift, lift
-from mocap_calib.lift.lifter import Lifter
-from mocap_calib.lift.weights import AUTO, choose_model
+from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.pairs.solve import PairSolver
 from mocap_calib.poses.stage import smooth_group
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
@@ -64,7 +63,7 @@ def calibrate(
     The rigs are found from a sample of the frames, whose size does not depend on the length of
     the recording. The result does not depend on the number of threads.
 
-    model: lifts the detections, as `lift.weights.choose_model` takes it: "auto", the name
+    model: lifts the detections, as `lift.lifter.choose_model` takes it: "auto", the name
         of a shipped model, a file of weights, "none" for geometry alone, or a loaded lifter.
     refine: which intrinsics are estimated, "none", "focal" or "focal+k1"; None: what `config` says,
         or focal lengths and lenses where nothing is known of the cameras (`AssumedCamera`).

@@ -39,7 +39,7 @@ from mocap_calib.io.registry import find_format
 from mocap_calib.io.results.matches_csv import parse_matches
 from mocap_calib.io.results.pairs_json import pairs_from_json
 from mocap_calib.job.reports import open_results, read_source
-from mocap_calib.lift.weights import load_lifter
+from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.overlay.results import read_results
 from mocap_calib.recording.joints import load_aliases, load_section, load_skeleton
 from mocap_calib.synthetic.body_plan import parse_body

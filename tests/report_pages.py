@@ -16,7 +16,7 @@ from scenes import calibrate_all, recording
 
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import ReportSource, source_of_group
-from mocap_calib.lift.weights import load_vocabulary
+from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report
 

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from mocap_calib import doctor
 from mocap_calib.doctor import DoctorConfig
-from mocap_calib.lift.weights import digest
+from mocap_calib.lift.lifter import digest
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib_cli.commands.doctor import command
 

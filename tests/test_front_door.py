@@ -18,7 +18,7 @@ import mocap_calib
 from mocap_calib import pipeline
 from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.poses.read import load_poses
-from mocap_calib.lift.weights import choose_model
+from mocap_calib.lift.lifter import choose_model
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.results import Clocks
 from mocap_calib.types import AssumedCamera

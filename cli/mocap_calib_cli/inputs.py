@@ -219,7 +219,7 @@ def lift_sample(
 ) -> tuple[Ints, Sample, LiftedPoses]:
     """Return the `[frame]` indices that calibration looks at, their detections, and those lifted.
 
-    pair_solver: what will calibrate the pairs, see `lift.weights.load_model`.
+    pair_solver: what will calibrate the pairs, see `lift.lifter.load_model`.
 
     Raises MismatchError where there is no such device.
     """
@@ -235,7 +235,7 @@ def lift_with_model(
 ) -> LiftedPoses:
     """Lift the detections of a sample. Raises MismatchError where there is no such device."""
     from mocap_calib.lift.lift import lift
-    from mocap_calib.lift.weights import load_model
+    from mocap_calib.lift.lifter import load_model
     from mocap_calib.training.device import on_device
 
     lifter = on_device(load_model(model, pair_solver=pair_solver), device)

@@ -69,7 +69,7 @@ def write_poses(path: Path, poses: "Poses3D", recording: "Recording", stage: str
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.poses_csv import write_poses_csv
     from mocap_calib.io.results.poses_h5 import write_poses_h5
-    from mocap_calib.lift.weights import load_vocabulary
+    from mocap_calib.lift.lifter import load_vocabulary
     from mocap_calib.recording.joints import edges_of_keypoints
     from mocap_calib.world.floor import stated_joints
 

@@ -147,7 +147,7 @@ def _list_layouts() -> dict[str, str]:
 
 def _list_models() -> dict[str, str]:
     """Return the shipped models, and how to do without one."""
-    from mocap_calib.lift.weights import shipped_tokens
+    from mocap_calib.lift.lifter import shipped_tokens
     from mocap_calib.recording.joints import SHIPPED
 
     models = dict.fromkeys(SHIPPED, "shipped weights") | {"none": "geometry alone"}

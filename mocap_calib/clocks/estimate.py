@@ -43,8 +43,7 @@ from mocap_calib.geometry.rotation import skew
 from mocap_calib.kernels import clocks as kernels
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.lift.lift import lift
-from mocap_calib.lift.lifter import Lifter
-from mocap_calib.lift.weights import AUTO, choose_model
+from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.recording.sampling import choose_stretches, take_sample, usual_step
 from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
 from mocap_calib.results import CalibrationResult, Clocks, GroupResult, LiftedPoses, Matches

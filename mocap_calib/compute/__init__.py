@@ -21,7 +21,7 @@ _MMAP_THRESHOLD, _LARGE = -3, 1 << 25
 _TRIM_THRESHOLD, _KEPT = -1, 1 << 28
 _ARENA_MAX = -8
 
-_CODE = (".py", ".yaml")  # the weights are told apart by `lift.weights.identify_model`
+_CODE = (".py", ".yaml")  # the weights are told apart by `lift.lifter.identify_model`
 
 
 class Clock:

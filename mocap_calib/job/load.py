@@ -13,7 +13,7 @@ from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.filled_table import describe_filled
 from mocap_calib.io.keypoints.items import find_superseded_files
 from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.lift.weights import load_vocabulary
+from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.corrections import apply_mends
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.names import unshared_keypoints, views_named, views_with_detections

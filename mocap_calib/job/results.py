@@ -27,7 +27,7 @@ from mocap_calib.io.results.group import (
     write_run_json,
 )
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.lift.weights import load_vocabulary
+from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.recording.timeline import (
     Epoch,

@@ -23,8 +23,7 @@ from mocap_calib.io.results.group import REPORT
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
 from mocap_calib.job.results import UNFINISHED, WrittenGroup, remove_unfinished, write_result
-from mocap_calib.lift.lifter import Lifter
-from mocap_calib.lift.weights import identify_model, load_model
+from mocap_calib.lift.lifter import Lifter, identify_model, load_model
 from mocap_calib.pairs.solve import PairSolver, pair_mapper
 from mocap_calib.paper import choose_pair_solver
 from mocap_calib.pipeline import calibrate

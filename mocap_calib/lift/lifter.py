@@ -1,27 +1,35 @@
-"""A trained network that lifts 2D poses: its weights as arrays, and what it computes in numpy.
+"""The network that lifts 2D poses to 3D, computed in numpy, and its files of weights.
 
-The same function as `model.LifterModule`, which torch trains; a test holds the two together. torch
-takes more than a second to import, and is no quicker for networks as small as these.
+torch, which trains it as `training.model.LifterModule`, takes more than a second to import, and is
+no quicker for networks as small as these; a test holds the two together.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import load_file
 
 from mocap_calib.config import ENCODER_HEADS
+from mocap_calib.errors import FormatError, MismatchError, suggest
 from mocap_calib.kernels.lifter import activate
-from mocap_calib.types import Bools, Floats32
+from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names, parse_skeleton
+from mocap_calib.types import Bools, Floats32, Recording, Skeleton
 
 LOG_DEVIATIONS = (-6.0, 3.0)  # the least and the largest that a network states
 _BLOCK = 32  # poses at a time: what they need stays in the cache of a core
-_NAMES = ("weight", "bias")
 _EPSILON = np.float32(1e-5)  # of torch's LayerNorm
-# of a query and a key, whose exponentials are good in 32 bits as they are: no score of the networks
-# that are shipped can be above 67, as their weights tell, and those of recordings are below 20
-_LARGEST_SCORE = np.float32(70)
+
+AUTO = "auto"  # asks for the model that the recording was made for
+GEOMETRY_ALONE = "none"  # asks for no model: it knows no joint, and the geometry must do
+DESCRIPTION = "mocap_calib"  # key of the description in the metadata of a file of weights
 
 
 @dataclass(frozen=True)
@@ -34,56 +42,11 @@ class ModelConfig:
     heads: int = ENCODER_HEADS
 
 
-@dataclass(frozen=True)
-class _Linear:
-    """x -> x @ matrix + bias. matrix: `[input, output]`; bias: `[output]`."""
-
-    matrix: Floats32
-    bias: Floats32
-
-    def __call__(self, values: Floats32) -> Floats32:
-        """Return `[..., output]` of values `[..., input]`."""
-        result: Floats32 = values @ self.matrix
-        result += self.bias
-        return result
-
-
-@dataclass(frozen=True)
-class _Layer:
-    """A layer of the encoder.
-
-    The gains and offsets of its norms are part of `attend` and `widen`, the scale of the scores of
-    the queries in `attend`. What `project` and `narrow` add to a token has mean 0.
-    """
-
-    attend: _Linear  # to queries, keys and values, of each the heads
-    project: _Linear
-    widen: _Linear
-    narrow: _Linear
-
-
-@dataclass(frozen=True)
-class _Encoder:
-    """What a network computes.
-
-    The mean of a token says nothing, as each layer begins with a norm: it is taken away from all
-    that is added up to one.
-
-    missing: `[C]`; joint: `[J, C]` parts of tokens.
-    """
-
-    position: _Linear  # to a part of a token
-    missing: Floats32
-    joint: Floats32
-    layers: tuple[_Layer, ...]
-    head: _Linear  # from a token, whose last norm is a part of it, to a joint
-
-
 @dataclass(frozen=True, eq=False)  # its weights are many: a lifter is equal to itself alone
 class Lifter:
     """Lifts 2D poses, seen by a virtual camera that looks at the body, to 3D with uncertainty.
 
-    weights: float32 arrays by the names that torch gives them (`model.LifterModule`).
+    weights: float32 arrays by the names that torch gives them.
     """
 
     config: ModelConfig
@@ -105,109 +68,196 @@ class Lifter:
         return joints, np.clip(out[..., 3:], *LOG_DEVIATIONS)
 
     def _apply(self, known: Floats32, seen: Bools) -> Floats32:
-        """Return what the head says `[B, J, 5]` of poses `[B, J, 2]`, 0 where not seen."""
-        size, encoder = self.config, self._encoder
-        token = np.where(seen[..., None], encoder.position(known), encoder.missing)
-        token += encoder.joint
-        token = token.reshape(-1, size.width)  # [B J, C]
-        standard = np.empty_like(token)
-        _standardise(token, standard)
-        for layer in encoder.layers:
-            heads = layer.attend(standard).reshape(len(seen), size.joints, 3, size.heads, -1)
-            _add(layer.project, _attend(heads).reshape(token.shape), token, standard)
-            _add(layer.narrow, _activate(layer.widen, standard), token, standard)
-        return encoder.head(standard).reshape(len(seen), size.joints, 5)
-
-    @cached_property
-    def _encoder(self) -> _Encoder:
-        """What the weights compute."""
-        return _Encoder(
-            position=_centred(self.weights["position.weight"], self.weights["position.bias"]),
-            missing=_centred_vectors(self.weights["missing"]),
-            joint=_centred_vectors(self.weights["joint"]),
-            layers=tuple(self._list_layers()),
-            head=self._linear_of_norm("encoder.norm", "head.weight", "head.bias"),
-        )
-
-    def _list_layers(self) -> Iterator[_Layer]:
-        """Yield the layers of the encoder."""
-        size = self.config
-        scale = np.ones(3 * size.width)
-        scale[: size.width] = (size.width // size.heads) ** -0.5
-        for number in range(size.layers):
+        """Return the output `[B, J, 5]` of the head for poses `[B, J, 2]`, 0 where not seen."""
+        position = self._map(known, "position.weight", "position.bias")
+        token = np.where(seen[..., None], position, self.weights["missing"]) + self.weights["joint"]
+        token = token.reshape(-1, self.config.width)  # [B J, C]: numpy multiplies 2D arrays fastest
+        for number in range(self.config.layers):
             layer = f"encoder.layers.{number}"
-            inward = f"{layer}.self_attn.in_proj"
-            outward = f"{layer}.self_attn.out_proj"
-            attend = self._linear_of_norm(f"{layer}.norm1", f"{inward}_weight", f"{inward}_bias")
-            # a bias of keys adds the same to all scores of a query, which changes nothing
-            attend.bias[size.width : 2 * size.width] = 0
-            widen = (f"{layer}.linear1.weight", f"{layer}.linear1.bias")
-            narrow = (f"{layer}.linear2.weight", f"{layer}.linear2.bias")
-            yield _Layer(
-                attend=_linear(attend.matrix.T * scale[:, None], attend.bias * scale),
-                project=_centred(*(self.weights[f"{outward}.{name}"] for name in _NAMES)),
-                widen=self._linear_of_norm(f"{layer}.norm2", *widen),
-                narrow=_centred(*(self.weights[name] for name in narrow)),
-            )
+            token += self._attend(self._norm(token, f"{layer}.norm1"), f"{layer}.self_attn")
+            wide = self._norm(token, f"{layer}.norm2") @ self.weights[f"{layer}.linear1.weight"].T
+            activate(wide, self.weights[f"{layer}.linear1.bias"])
+            token += self._map(wide, f"{layer}.linear2.weight", f"{layer}.linear2.bias")
+        out = self._map(self._norm(token, "encoder.norm"), "head.weight", "head.bias")
+        return out.reshape(*seen.shape, -1)
 
-    def _linear_of_norm(self, norm: str, weight: str, bias: str) -> _Linear:
-        """Return the linear map of those names after the gain and the offset of a norm."""
-        matrix = self.weights[weight].astype(np.float64)
-        offset = matrix @ self.weights[f"{norm}.bias"]
-        return _linear(matrix * self.weights[f"{norm}.weight"], self.weights[bias] + offset)
+    def _map(self, values: Floats32, weight: str, bias: str) -> Floats32:
+        """Return the linear map `[..., output]` of values `[..., input]` by weights of a name."""
+        result: Floats32 = values @ self.weights[weight].T
+        result += self.weights[bias]
+        return result
 
+    def _norm(self, token: Floats32, name: str) -> Floats32:
+        """Return the LayerNorm of tokens `[N, C]`."""
+        standard = token - token.mean(-1, keepdims=True)
+        variance = np.einsum("nc,nc->n", standard, standard) / np.float32(token.shape[-1])
+        standard /= np.sqrt(variance + _EPSILON)[:, None]
+        standard *= self.weights[f"{name}.weight"]
+        standard += self.weights[f"{name}.bias"]
+        return standard
 
-def _linear(weight: NDArray[np.floating], bias: NDArray[np.floating]) -> _Linear:
-    """Return the linear map of a weight `[output, input]` and a bias `[output]`."""
-    return _Linear(np.ascontiguousarray(weight.T, dtype=np.float32), bias.astype(np.float32))
-
-
-def _centred(weight: Floats32, bias: Floats32) -> _Linear:
-    """Return the linear map to a part of a token, whose mean is taken away."""
-    return _linear(_centred_vectors(weight.T).T, _centred_vectors(bias))
-
-
-def _centred_vectors(vectors: Floats32) -> Floats32:
-    """Return vectors `[..., C]` less their means."""
-    mean = vectors.mean(-1, keepdims=True, dtype=np.float64)
-    return (vectors - mean).astype(np.float32)
-
-
-def _standardise(token: Floats32, standard: Floats32) -> None:
-    """Set `standard` to tokens `[N, C]` of mean 0 with variance 1: LayerNorm but for its gain."""
-    deviation = np.einsum("nc,nc->n", token, token)
-    deviation /= np.float32(token.shape[-1])
-    deviation += _EPSILON
-    np.sqrt(deviation, out=deviation)
-    np.divide(token, deviation[:, None], out=standard)
-
-
-def _add(linear: _Linear, values: Floats32, token: Floats32, standard: Floats32) -> None:
-    """Add a linear map of values `[N, input]` to tokens `[N, C]`, and standardise those."""
-    token += values @ linear.matrix
-    token += linear.bias
-    _standardise(token, standard)
-
-
-def _attend(heads: Floats32) -> Floats32:
-    """Return what each joint gathers from all joints of its pose, `[B, J, head, C / heads]`.
-
-    heads: `[B, J, 3, head, C / heads]` queries, which are scaled, keys and values.
-    """
-    query, key, value = heads.transpose(2, 0, 3, 1, 4)  # [B, head, J, C / heads] each
-    score = query @ np.swapaxes(key, -1, -2)  # [B, head, J, J]
-    if max(score.max(), -score.min()) > _LARGEST_SCORE:  # of a network that somebody trained
+    def _attend(self, token: Floats32, name: str) -> Floats32:
+        """Return what each joint gathers from all joints of its pose, of tokens `[B J, C]`."""
+        size = self.config
+        heads = self._map(token, f"{name}.in_proj_weight", f"{name}.in_proj_bias")
+        heads = heads.reshape(-1, size.joints, 3, size.heads, size.width // size.heads)
+        query, key, value = heads.transpose(2, 0, 3, 1, 4)  # [B, head, J, C / heads] each
+        score = (query * np.float32(query.shape[-1] ** -0.5)) @ np.swapaxes(key, -1, -2)
         score -= score.max(-1, keepdims=True)
-    np.exp(score, out=score)
-    joints = score.shape[-1]
-    total = score.reshape(-1, joints) @ np.ones((joints, 1), dtype=np.float32)
-    gathered: Floats32 = score @ value
-    gathered /= total.reshape(*score.shape[:-1], 1)
-    return np.swapaxes(gathered, 1, 2)
+        np.exp(score, out=score)  # [B, head, J, J]
+        gathered = score @ value / score.sum(-1, keepdims=True)
+        gathered = np.swapaxes(gathered, 1, 2).reshape(token.shape)
+        return self._map(gathered, f"{name}.out_proj.weight", f"{name}.out_proj.bias")
 
 
-def _activate(linear: _Linear, values: Floats32) -> Floats32:
-    """Return the GELU of a linear map of values `[N, input]`."""
-    wide: Floats32 = values @ linear.matrix
-    activate(wide, linear.bias)
-    return wide
+# --- files of weights
+
+
+def shipped_weights(name: str) -> Traversable:
+    """Return the place of weights in the package, which may not be there."""
+    return resources.files("mocap_calib") / "weights" / f"{name}.safetensors"
+
+
+def shipped_tokens() -> tuple[str, ...]:
+    """Return the names of the shipped weights of the paper's architecture."""
+    names = (f"{name}_token" for name in SHIPPED)
+    return tuple(name for name in names if shipped_weights(name).is_file())
+
+
+def weights_of(name_or_path: str) -> Traversable:
+    """Return the place of the weights of a shipped model, or the file of that name."""
+    shipped = name_or_path in (*SHIPPED, *shipped_tokens())
+    return shipped_weights(name_or_path) if shipped else Path(name_or_path)
+
+
+def digest(name_or_path: str) -> str:
+    """Return the SHA-256 of the weights of a model: a shipped one, or one in a file."""
+    return hashlib.sha256(weights_of(name_or_path).read_bytes()).hexdigest()
+
+
+def identify_model(name: str) -> str:
+    """Return the identity of a model: the SHA-256 of its weights, if it has any.
+
+    For a rotation token also that of the weights that lift for it.
+    """
+    if name == GEOMETRY_ALONE:
+        return GEOMETRY_ALONE
+    return digest(name) + (digest(lifter_beside(name)) if is_token(name) else "")
+
+
+def describe_model(name_or_path: str | Path) -> dict[str, Any]:
+    """Return the description in a file of weights, or in those of a shipped model.
+
+    Raises FormatError.
+    """
+    with resources.as_file(weights_of(str(name_or_path))) as path:
+        try:
+            with safe_open(path, framework="np") as file:
+                return json.loads((file.metadata() or {})[DESCRIPTION])
+        except FileNotFoundError:
+            raise FormatError(
+                f"{path}: expected a shipped model ({', '.join(SHIPPED)}), a file of weights, or "
+                f"none, found neither; {suggest(str(path), SHIPPED)}"
+            ) from None
+        except (SafetensorError, KeyError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise FormatError(
+                f"{path}: expected weights that `train` wrote, found another file ({reason}); "
+                "check the path"
+            ) from None
+
+
+def models() -> dict[str, dict[str, Any]]:
+    """Return the model card of each shipped lifter, by the name of its skeleton."""
+    there = [name for name in SHIPPED if shipped_weights(name).is_file()]
+    return {name: describe_model(name)["card"] for name in there}
+
+
+def load_vocabulary(name: str) -> Skeleton:
+    """Return the joints that a model knows: none for geometry alone. Raises FormatError."""
+    if name == GEOMETRY_ALONE:
+        return Skeleton(GEOMETRY_ALONE, keypoints=(), edges=(), symmetries=(), aliases={})
+    return parse_skeleton(describe_model(name)["skeleton"], name)
+
+
+def is_token(name_or_path: str) -> bool:
+    """Return whether weights are of the paper's architecture. Raises FormatError."""
+    return describe_model(name_or_path).get("architecture") == "token"
+
+
+def lifter_beside(token: str) -> str:
+    """Return the shipped model with the joints of a rotation token, which lifts in its place.
+
+    token: a shipped one, or one in a file. Raises FormatError where none has the same joints.
+    """
+    joints = load_vocabulary(token)
+    if joints.name in SHIPPED and load_skeleton(joints.name).keypoints == joints.keypoints:
+        return joints.name
+    raise FormatError(
+        f"{token}: expected a rotation token with the joints of a shipped model "
+        f"({', '.join(SHIPPED)}), which lifts where it steers, found others ({joints.name}); "
+        "train it with --skeleton and a name of these"
+    )
+
+
+def load_lifter(name_or_path: str | Path = "people") -> tuple[Lifter, Skeleton]:
+    """Return a lifter and its vocabulary: a shipped one by name, or one from a file.
+
+    Raises FormatError.
+    """
+    description = describe_model(name_or_path)
+    if description.get("architecture") == "token":
+        raise FormatError(
+            f"{name_or_path}: expected weights that lift, found the paper's, whose rotation token "
+            "cannot; `run` and `pairwise` take them with --solver paper"
+        )
+    with resources.as_file(weights_of(str(name_or_path))) as path:
+        weights = load_file(path)
+    lifter = Lifter(ModelConfig(**description["model"]), weights)
+    return lifter, parse_skeleton(description["skeleton"], str(name_or_path))
+
+
+def load_model(name: str = "people", *, pair_solver: str = "search") -> Lifter:
+    """Return the lifter of a shipped skeleton, or that in a weights file. Raises FormatError.
+
+    For geometry alone any will do, as it is given no joint. The paper's solver may steer by a
+    rotation token; then the shipped model of the same joints lifts, for what it finds to be scored.
+
+    pair_solver: what will calibrate the pairs, one of `config.PAIR_SOLVERS`.
+    """
+    if name == GEOMETRY_ALONE:
+        name = "people"
+    elif pair_solver == "paper" and is_token(name):
+        name = lifter_beside(name)
+    lifter, _ = load_lifter(name)
+    return lifter
+
+
+def choose_model(recording: Recording, model: str | Path | Lifter) -> tuple[Recording, Lifter]:
+    """Return the lifter of a recording, and the recording with its joints in that vocabulary.
+
+    model: "auto", the name of a shipped model, a file of weights, or "none" for geometry alone;
+        or a lifter, whose joints the recording's vocabulary already means. Where it is not the
+        model that the recording was made for, keypoints are matched to its joints by name.
+
+    Raises FormatError, and MismatchError where a lifter has too few joints for the vocabulary.
+    """
+    if isinstance(model, Lifter):
+        _check_joints(recording, model)
+        return recording, model
+    name = recording.model if model == AUTO else str(model)
+    if name != recording.model:
+        vocabulary = match_names(recording.keypoints, load_vocabulary(name))
+        recording = replace(recording, vocabulary=vocabulary, model=name)
+    return recording, load_model(name)
+
+
+def _check_joints(recording: Recording, lifter: Lifter) -> None:
+    """Raise MismatchError where a lifter has too few joints for a recording's vocabulary."""
+    needed = int(recording.vocabulary.max(initial=-1)) + 1
+    if lifter.config.joints < needed:
+        raise MismatchError(
+            f"expected a network of the {needed} joints or more that the recording has in the "
+            f"vocabulary of {recording.model}, found one of {lifter.config.joints}; "
+            "give the model by its name or file"
+        )

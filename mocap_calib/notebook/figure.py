@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.lift.weights import load_vocabulary
+from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import GroupResult
 from mocap_calib.types import ARBITRARY, CameraRig, Floats, Ints

@@ -13,8 +13,7 @@ import numpy as np
 
 from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
-from mocap_calib.lift.lifter import Lifter
-from mocap_calib.lift.weights import GEOMETRY_ALONE, is_token
+from mocap_calib.lift.lifter import GEOMETRY_ALONE, Lifter, is_token
 from mocap_calib.pairs.affinity import mutual_best
 from mocap_calib.pairs.solve import PairProblem, PairSolver, judge_pair, mean_focal
 from mocap_calib.results import PairwiseCalibration

@@ -18,8 +18,14 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from mocap_calib.io.atomic import write_bytes
-from mocap_calib.lift.lifter import LOG_DEVIATIONS, Lifter, ModelConfig
-from mocap_calib.lift.weights import DESCRIPTION, read_description, weights_of
+from mocap_calib.lift.lifter import (
+    DESCRIPTION,
+    LOG_DEVIATIONS,
+    Lifter,
+    ModelConfig,
+    describe_model,
+    weights_of,
+)
 from mocap_calib.recording.joints import parse_skeleton
 from mocap_calib.training.config import TokenConfig
 from mocap_calib.types import Skeleton
@@ -247,10 +253,10 @@ def load_steerer(name_or_path: str | Path = "people") -> tuple[Model, Skeleton]:
     """Return a network and its vocabulary: a shipped one by its skeleton's name, or from a file.
 
     The weights of the paper's network have names like "people_token". Without torch,
-    `lift.weights` reads those that lift. Raises FormatError.
+    `lift.lifter` reads those that lift. Raises FormatError.
     """
+    description = describe_model(name_or_path)
     with resources.as_file(weights_of(str(name_or_path))) as path:
-        description = read_description(path)
         tensors = load_file(path)
     model: Model
     if description.get("architecture") == "token":
@@ -258,4 +264,4 @@ def load_steerer(name_or_path: str | Path = "people") -> tuple[Model, Skeleton]:
     else:
         model = LifterModule(ModelConfig(**description["model"]))
     model.load_state_dict(tensors)
-    return model.eval(), parse_skeleton(description["skeleton"], str(path))
+    return model.eval(), parse_skeleton(description["skeleton"], str(name_or_path))

@@ -30,8 +30,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.provenance import judgement, round_sigma
 from mocap_calib.lift.lift import RememberedLift
-from mocap_calib.lift.lifter import Lifter
-from mocap_calib.lift.weights import AUTO, choose_model
+from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime

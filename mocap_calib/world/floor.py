@@ -15,7 +15,7 @@ from mocap_calib import mapped
 from mocap_calib.config import FloorConfig
 from mocap_calib.geometry.alignment import body_size, mean_of_known
 from mocap_calib.kinematics import leg_lengths
-from mocap_calib.lift.weights import load_vocabulary
+from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.results import POINT_SOURCES, Poses3D
 from mocap_calib.types import Bools, Floats, Ints, Recording, Skeleton

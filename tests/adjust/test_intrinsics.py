@@ -19,7 +19,7 @@ from mocap_calib.adjust.problem import free_intrinsics
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.adjust.solve import Parameters
 from mocap_calib.config import Config, IntrinsicsConfig, UncertaintyConfig
-from mocap_calib.lift.weights import load_lifter
+from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (

@@ -11,7 +11,7 @@ from click.shell_completion import ShellComplete, get_completion_class
 from conftest import TOOL
 
 from mocap_calib.io.kinds import FORMATS
-from mocap_calib.lift.weights import shipped_tokens
+from mocap_calib.lift.lifter import shipped_tokens
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib_cli.main import COMMANDS, group
 

@@ -16,7 +16,7 @@ from mocap_calib.io.keypoints.read import read_keypoints, read_what_can
 from mocap_calib.io.kinds import check_sources, choose_kind
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.registry import find_format
-from mocap_calib.lift.weights import load_vocabulary
+from mocap_calib.lift.lifter import load_vocabulary
 
 VIDEO = b"\x00\x00\x00\x20ftypisom\x00\x00\x02\x00" + bytes(range(256))
 

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from mocap_calib.errors import FormatError
-from mocap_calib.lift.lifter import ModelConfig
-from mocap_calib.lift.weights import load_lifter, models
+from mocap_calib.lift.lifter import ModelConfig, load_lifter, models
 from mocap_calib.recording.joints import (
     SHIPPED,
     choose_skeleton,

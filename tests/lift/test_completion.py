@@ -12,7 +12,7 @@ from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.load import KeypointSource, load_recording
 from mocap_calib.lift.lift import complete_sample, lift
-from mocap_calib.lift.weights import load_lifter
+from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.types import silent
 
 PLAIN = {"people": 1, "false_detections": 0.0, "outliers": 0.0, "missing": 0.0}

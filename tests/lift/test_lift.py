@@ -21,8 +21,7 @@ from mocap_calib.lift.lift import (
     _lift_rays,
     lift,
 )
-from mocap_calib.lift.lifter import _LARGEST_SCORE, _attend
-from mocap_calib.lift.weights import choose_model, load_lifter
+from mocap_calib.lift.lifter import choose_model, load_lifter
 from mocap_calib.training import train
 from mocap_calib.training.train import _project_turned
 from mocap_calib.types import silent
@@ -47,33 +46,6 @@ def test_the_kernel_of_the_activation_is_that_of_its_definition():
     compiled = (x[:, None] - bias).astype(np.float32)
     activate(compiled, bias)
     np.testing.assert_allclose(compiled, np.column_stack([expected] * 2), rtol=3e-7, atol=8e-7)
-
-
-def test_no_score_of_the_networks_that_are_shipped_is_too_large():
-    """What their weights let a query and a key be at most: 67."""
-    for name in ("people", "quadruped", "bird", "rodent"):
-        lifter = load_lifter(name)[0]
-        width, heads = lifter.config.width, lifter.config.heads
-        for layer in lifter._encoder.layers:
-            matrix = layer.attend.matrix.reshape(width, 3, heads, -1).astype(np.float64)
-            query, key = np.moveaxis(matrix[:, :2], (1, 2), (0, 1))  # [head, C, C / heads] each
-            offset = layer.attend.bias.reshape(3, heads, -1)[0]
-            largest = np.linalg.norm(query @ np.swapaxes(key, 1, 2), ord=2, axis=(1, 2)) * width
-            largest += np.linalg.norm(np.einsum("hck,hk->hc", key, offset), axis=1) * width**0.5
-            assert largest.max() < 67 < _LARGEST_SCORE
-
-
-@pytest.mark.parametrize("size", [1.0, 20.0])
-def test_joints_attend_to_the_best_score_however_large_scores_are(size):
-    """As softmax defines it: networks of one's own may be surer than those that are shipped."""
-    heads = np.random.default_rng(0).normal(size=(2, 5, 3, 2, 4)).astype(np.float32)
-    heads[:, :, :2] *= np.float32(size)
-    query, key, value = heads.astype(np.float64).transpose(2, 0, 3, 1, 4)
-    score = query @ np.swapaxes(key, -1, -2)
-    assert (np.abs(score).max() > _LARGEST_SCORE) == (size > 1)
-    weight = np.exp(score - score.max(-1, keepdims=True))
-    expected = np.swapaxes(weight / weight.sum(-1, keepdims=True) @ value, 1, 2)
-    np.testing.assert_allclose(_attend(heads), expected, atol=1e-4)
 
 
 def test_a_network_of_too_few_joints_is_refused():

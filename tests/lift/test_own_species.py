@@ -10,7 +10,7 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.write import write_poses
-from mocap_calib.lift.weights import load_lifter
+from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.paper.solver import PaperConfig, PaperPairs
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.results import Poses3D

@@ -16,8 +16,7 @@ from mocap_calib.geometry.rotation import (
     vector_from_matrix,
 )
 from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
-from mocap_calib.lift.lifter import ModelConfig
-from mocap_calib.lift.weights import load_lifter
+from mocap_calib.lift.lifter import ModelConfig, load_lifter
 from mocap_calib.paper import estimate_by_loransac, five_point_over_matches, solver
 from mocap_calib.paper.losses import (
     TwoViews,

@@ -10,7 +10,7 @@ import pytest
 from scenes import calibrate_group, precision, rotation_errors_deg
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.lift.weights import load_lifter
+from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.recording.joints import SHIPPED, choose_skeleton, load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording

@@ -24,7 +24,7 @@ def command(as_json: bool) -> None:
     Example:
       mocap-calib models
     """
-    from mocap_calib.lift.weights import models
+    from mocap_calib.lift.lifter import models
     from mocap_calib.recording.joints import load_skeleton
     from mocap_calib_cli.screen import format_number, format_table
 

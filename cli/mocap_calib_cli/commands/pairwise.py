@@ -24,7 +24,7 @@ def command(shared: options.SharedOptions, output: str) -> None:
 
     from mocap_calib.config import Config
     from mocap_calib.io.results.pairs_json import pairs_to_json
-    from mocap_calib.lift.weights import load_model
+    from mocap_calib.lift.lifter import load_model
     from mocap_calib.pairs.solve import in_recording
     from mocap_calib.paper import choose_pair_solver
     from mocap_calib.rig.large_rigs import calibrate_view_graph
