@@ -11,16 +11,12 @@ SMALL_RIG = 17  # cameras: of up to so many nearly all see the same bodies
 
 LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
 LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
-LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in its images
 LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
 
 ENCODER_HEADS = 4  # of the networks' encoders, which share a token
 
 SmoothMode = Literal["auto", "bones", "off"]  # what is done to poses; the first is the default
 SMOOTH_MODES: tuple[SmoothMode, ...] = get_args(SmoothMode)
-
-COMPLETION_SPREAD = 0.2  # body sizes: a joint known to this much has exp(-1) of the confidence
-COMPLETION_CONFIDENCE = 0.5  # at most, of the mean confidence of the joints that were seen
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,12 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import (
-    COMPLETION_CONFIDENCE,
-    COMPLETION_SPREAD,
     LEAST_FORWARD,
     LEAST_JOINTS,
+    LEAST_LIFT_SPREAD,
     LIFT_BEST_PERCENTILE,
     LIFT_CONFIDENCE,
     LIFT_LEAST_DEPTH,
-    LIFT_UPRIGHT_SAMPLE,
 )
 from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import looking_along
@@ -32,7 +30,8 @@ from mocap_calib.recording.views import split_by_view
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import Bools, Floats, Floats32, Ints, Keypoints2D, Progress, Sample, Skeleton
 
-_BLOCK = 128  # detections at a time
+# detections at a time, and those of a view that determine which way is down in its images
+_BLOCK = 128
 # The directions in a view's image that may be down: as the camera says, or turned by quarters.
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
@@ -47,15 +46,6 @@ class _Bodies(NamedTuple):
     centre: Floats
     spread: Floats
 
-    def doubt(self, index: Ints | None = None) -> float:
-        """Return the median of the spread, of the detections of an index `[N]` or of all."""
-        return float(np.median(self.spread if index is None else self.spread[index]))
-
-    def put(self, index: Ints, found: "_Bodies") -> None:
-        """Set the detections of an index `[N]`."""
-        for values, of_index in zip(self, found, strict=True):
-            values[index] = of_index
-
 
 def lift(sample: Sample, lifter: Lifter, *, progress: Progress) -> LiftedPoses:
     """Lift all detections with at least four confident joints of the model's vocabulary.
@@ -69,16 +59,11 @@ def lift(sample: Sample, lifter: Lifter, *, progress: Progress) -> LiftedPoses:
     check_joints(sample)
     rays = rays_by_joint(_confident_rays(sample), sample.vocabulary, lifter.config.joints)
     enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS  # [view, frame, instance]
-    with single_threaded_libraries():
-        bodies = _lift_views(rays[enough], np.nonzero(enough)[0], lifter, progress)
-    return LiftedPoses(*(_spread_out(values, enough) for values in bodies))
-
-
-def _spread_out(values: Floats, enough: Bools) -> Floats:
-    """Return values `[B, ...]` at the places where there is enough, NaN elsewhere."""
-    found = np.full((*enough.shape, *values.shape[1:]), np.nan)
-    found[enough] = values
-    return found
+    bodies = _lift_views(rays[enough], np.nonzero(enough)[0], lifter, progress)
+    found = [np.full((*enough.shape, *values.shape[1:]), np.nan) for values in bodies]
+    for values, of_enough in zip(found, bodies, strict=True):
+        values[enough] = of_enough
+    return LiftedPoses(*found)
 
 
 def _confident_rays(sample: Sample) -> Floats:
@@ -110,6 +95,7 @@ def rays_by_joint(rays: Floats, vocabulary: Ints, joints: int) -> Floats:
     return ordered
 
 
+@single_threaded_libraries()
 def _lift_views(rays: Floats, view: Ints, lifter: Lifter, progress: Progress) -> _Bodies:
     """Return the lifted bodies, in each view with its own direction of down.
 
@@ -118,34 +104,18 @@ def _lift_views(rays: Floats, view: Ints, lifter: Lifter, progress: Progress) ->
 
     rays: `[B, joint, 3]`; view: `[B]` in which each detection is.
     """
-    down = np.tile(_DOWN[0], (len(view), 1))
-    bodies = _Bodies(
-        body=np.empty(rays.shape), centre=np.empty((len(view), 3)), spread=np.empty(rays.shape[:2])
-    )
-    samples = [
-        evenly_spaced(np.flatnonzero(view == each), LIFT_UPRIGHT_SAMPLE) for each in np.unique(view)
-    ]
-    sampled = np.isin(np.arange(len(view)), np.concatenate([*samples, np.empty(0, int)]))
-    done = 0
-
-    def lift_into(index: Ints) -> None:
-        """Lift the detections of an index in blocks, each with its direction of down."""
-        nonlocal done
-        blocks = [index[start : start + _BLOCK] for start in range(0, len(index), _BLOCK)]
-        lifted = map_in_threads(lambda block: _lift_rays(rays[block], down[block], lifter), blocks)
-        for block, found in zip(blocks, lifted, strict=True):
-            bodies.put(block, found)
-            done += len(block)
-            progress("lift", done, len(rays))
-
-    lift_into(np.flatnonzero(sampled))
-    others = list(product(samples, _DOWN[1:]))
-    lifted = map_in_threads(lambda each: _lift_rays(rays[each[0]], each[1], lifter), others)
-    for (index, other), found in zip(others, lifted, strict=True):
-        if found.doubt() < bodies.doubt(index):
-            bodies.put(index, found)
-            down[view == view[index[0]]] = other
-    lift_into(np.flatnonzero(~sampled))
+    views = np.unique(view)
+    samples = [rays[evenly_spaced(np.flatnonzero(view == each), _BLOCK)] for each in views]
+    lifted = map_in_threads(lambda each: _lift_rays(*each, lifter), product(samples, _DOWN))
+    doubt = np.reshape([np.median(found.spread) for found in lifted], (len(views), len(_DOWN)))
+    down = _DOWN[doubt.argmin(1)[np.searchsorted(views, view)]]
+    blocks = [slice(start, start + _BLOCK) for start in range(0, len(rays), _BLOCK)]
+    bodies = _Bodies(np.empty(rays.shape), np.empty((len(rays), 3)), np.empty(rays.shape[:2]))
+    lifted = map_in_threads(lambda block: _lift_rays(rays[block], down[block], lifter), blocks)
+    for block, found in zip(blocks, lifted, strict=True):
+        for values, of_block in zip(bodies, found, strict=True):
+            values[block] = of_block
+        progress("lift", min(block.stop, len(rays)), len(rays))
     return bodies
 
 
@@ -282,8 +252,13 @@ def _project_lifted(sample: Sample, lifted: LiftedPoses) -> Floats:
 
 
 def _confidence_of_lifted(sample: Sample, lifted: LiftedPoses) -> Floats:
-    """Return the confidence `[view, frame, instance, joint]` of completed joints."""
+    """Return the confidence `[view, frame, instance, joint]` of completed joints.
+
+    Of a joint that is as certain as a lifted one can be it is half of the detection's mean.
+    """
     seen_keypoints = np.maximum(sample.seen.sum(-1), 1)
     mean_confidence = sample.confidence.sum(-1) / seen_keypoints  # [view, frame, instance]
-    certainty = np.exp(-lifted.spread / COMPLETION_SPREAD)
-    return COMPLETION_CONFIDENCE * mean_confidence[..., None] * certainty
+    certainty = LEAST_LIFT_SPREAD / (
+        LEAST_LIFT_SPREAD + np.maximum(lifted.spread, LEAST_LIFT_SPREAD)
+    )
+    return mean_confidence[..., None] * certainty

@@ -9,7 +9,7 @@ import torch
 from scenes import lifted, recording
 from scipy.special import erfc
 
-from mocap_calib.config import COMPLETION_CONFIDENCE, COMPLETION_SPREAD
+from mocap_calib.config import LEAST_LIFT_SPREAD
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels.lifter import activate
@@ -67,7 +67,9 @@ def test_a_joint_deserves_the_mean_confidence_of_the_detection_and_less():
     found, bodies = recording(), lifted()
     seen = found.confidence > 0
     mean = np.where(seen, found.confidence, 0).sum(-1) / np.maximum(seen.sum(-1), 1)
-    less = COMPLETION_CONFIDENCE * np.exp(-bodies.spread / COMPLETION_SPREAD)
+    spread = np.maximum(bodies.spread, LEAST_LIFT_SPREAD)
+    less = LEAST_LIFT_SPREAD / (LEAST_LIFT_SPREAD + spread)
+    assert np.nanmax(less) <= 0.5
     np.testing.assert_allclose(_confidence_of_lifted(found, bodies), mean[..., None] * less)
 
 
