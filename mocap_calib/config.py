@@ -183,39 +183,18 @@ class MatchingConfig:
         be lifted.
 
     individuals: how many there are at most; None = not known.
-    memory: frames; the longest gap that motion says something of.
-    sparse_step: bodies cannot be followed that go so far between frames, as a share of their
-        distance from each other.
     decisive: evidence in nats that leaves no doubt: how much likelier a group's place in the next
-        frame must be than any other, how unlikely it may be itself, and what each frame in which
-        both are seen counts against two pieces of tracks being one individual.
-        Twice this much against it leaves two that are never seen together one individual, for a
-        recording has as few individuals as it needs.
-    false_share: of the shorter one's frames, in which two pieces may be seen together and one be a
-        false group.
+        frame must be than any other, and how unlikely it may be itself. Twice this much against it
+        leaves two that are never seen together one individual, for a recording has as few
+        individuals as it needs.
     most_pieces: that are joined at once; parts of longer recordings are joined by themselves.
-    fleeting_frames, fleeting_share: an individual is unassigned if it is followed through no more
-        frames than this, and through no larger share of them, and `sure_views` views do not see it
-        in more frames either.
     """
 
     least_affinity: float = 0.25
     factorization_share: float = 0.5
     individuals: int | None = None
-    memory: int = 50
-    # Medians of steps over those of distances apart: .01 to .06 in video of people and dogs, .35 in
-    # 81 frames of two mice, which can be followed, and .61 in pictures of a ward, which cannot
-    sparse_step: float = 0.5
     decisive: float = 6.0
-    false_share: float = 0.1
     most_pieces: int = 500
-    fleeting_frames: int = 10
-    fleeting_share: float = 0.05
-    sure_views: int = 3
-
-    def fleeting(self, frames: int) -> int:
-        """Return in how many of so many frames false detections may meet by chance."""
-        return min(self.fleeting_frames, int(self.fleeting_share * frames))
 
 
 # factorization: views and points that it needs

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-from mocap_calib.geometry.graphs import assign, connected_parts, spanning_tree
+from mocap_calib.geometry.graphs import connected_parts, spanning_tree
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 1.0])
@@ -42,25 +41,3 @@ def test_long_chains_are_one_part():
     order = np.random.default_rng(0).permutation(100_000)
     for nodes in (np.arange(100_000), order):
         assert not connected_parts(nodes[:-1], nodes[1:], 100_000).any()
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_assignments_cost_as_little_as_those_of_scipy(seed):
-    """Of costs that differ, of equal ones, and of costs with a ceiling."""
-    rng = np.random.default_rng(seed)
-    for size in rng.integers(1, 9, size=(100, 2)):
-        cost = np.abs(rng.normal(size=size))
-        for tried in (cost, np.round(2 * cost), np.minimum(cost, 0.7)):
-            rows, columns = assign(tried)
-            assert len(set(columns.tolist())) == len(columns) == min(size)
-            assert (np.diff(rows) > 0).all()
-            assert tried[rows, columns].sum() == pytest.approx(
-                tried[linear_sum_assignment(tried)].sum()
-            )
-
-
-@pytest.mark.parametrize("cost", [np.nan, np.inf, -np.inf])
-def test_costs_that_are_no_numbers_are_refused(cost):
-    """They took for ever."""
-    with pytest.raises(ValueError, match="expected costs that are finite"):
-        assign(np.array([[cost, cost], [cost, cost], [0.0, cost]]))

@@ -13,7 +13,7 @@ from mocap_calib.clocks.evidence import along_map
 from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.identities.join import _pieces_between
+from mocap_calib.identities.track import _pieces_between
 from mocap_calib.results import Matches
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.tracks import matched_share

@@ -21,7 +21,7 @@ from mocap_calib.adjust.refine import measure_fit
 from mocap_calib.adjust.rig_covariance import jackknife
 from mocap_calib.config import AveragingConfig, Config, TriangulateConfig
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
-from mocap_calib.identities.bones import _medians
+from mocap_calib.identities.pieces import _medians
 from mocap_calib.results import Matches, PairwiseCalibration, Poses3D
 from mocap_calib.rig.averaging import average
 from mocap_calib.rig.triangulate import frame_blocks, triangulate
