@@ -178,10 +178,6 @@ class MatchingConfig:
     """Identities: in a frame, and through the whole recording.
 
     least_affinity: 0..1, the mean affinity down to which two groups of detections are joined.
-    factorization_share: where so large a share of the frames shows each view no more than one
-        detection, the rigs that factorization finds for one subject are tried too, if no body could
-        be lifted.
-
     individuals: how many there are at most; None = not known.
     decisive: evidence in nats that leaves no doubt: how much likelier a group's place in the next
         frame must be than any other, and how unlikely it may be itself. Twice this much against it
@@ -191,20 +187,9 @@ class MatchingConfig:
     """
 
     least_affinity: float = 0.25
-    factorization_share: float = 0.5
     individuals: int | None = None
     decisive: float = 6.0
     most_pieces: int = 500
-
-
-# factorization: views and points that it needs
-FACTORIZATION_VIEWS = 3
-FACTORIZATION_POINTS = 24
-# points are left out whose residual is so many times the median, and that in pixels
-FACTORIZATION_OUTLIER = 2.5
-FACTORIZATION_LEAST_PX = 1.0
-# alternations between the points and the scale of each view
-FACTORIZATION_SWEEPS = 50
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ import numpy as np
 from mocap_calib.adjust.problem import choose_problem, free_poses, solve
 from mocap_calib.adjust.residuals import State
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import VERDICT_LIMITS_DEG, Config, MatchingConfig, UncertaintyConfig
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import with_size_of
 from mocap_calib.geometry.lens import points_in_cameras, project_views
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.results import Adjusted, LiftedPoses, Matches
-from mocap_calib.rig.associate import associate, have_same_groups, label_single_subject
-from mocap_calib.rig.factorization import factorise
+from mocap_calib.rig.associate import associate, have_same_groups
+from mocap_calib.rig.factorization import factorise, label_single_subject
 from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames, view_residual
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Progress, Sample, silent
@@ -83,7 +83,7 @@ def adjust_from_best_start(
     """
     found: list[Adjusted] = []
     refusals: list[DegenerateError] = []
-    for start, labels in [(rig, matches), *_starts_without_model(sample, lifted, config.matching)]:
+    for start, labels in [(rig, matches), *_starts_without_model(sample, lifted)]:
         try:
             adjusted = adjust_until_stable(
                 sample, start, labels, config, lifted=lifted, progress=progress
@@ -132,13 +132,11 @@ def adjust_until_stable(
     )
 
 
-def _starts_without_model(
-    sample: Sample, lifted: LiftedPoses, config: MatchingConfig
-) -> list[tuple[CameraRig, Matches]]:
+def _starts_without_model(sample: Sample, lifted: LiftedPoses) -> list[tuple[CameraRig, Matches]]:
     """Return rigs found by factorization with their labels, where no body could be lifted."""
     if np.isfinite(lifted.centre).any():
         return []
-    labels = label_single_subject(sample, config.factorization_share)
+    labels = label_single_subject(sample)
     if labels is None:
         return []
     return [(rig, labels) for rig in factorise(sample, labels)]

@@ -21,7 +21,7 @@ from mocap_calib.pairs.view_pair import distances, distances_by_size
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.rig.tracks import per_frame_labels
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, Sample
+from mocap_calib.types import CameraRig, Floats, Ints, Progress, Recording, Sample
 
 # pairs of detections grouped at a time, and in the frames that the likelihood ratio is measured on.
 # They stay in the cache, and make blocks enough for several threads
@@ -144,18 +144,6 @@ def label_all_frames(
         mapped.let_go()
         progress("match all", done, len(blocks))
     return Matches(labels)
-
-
-def label_single_subject(sample: Sample, share: float) -> Matches | None:
-    """Label the only detection of each view as the single subject.
-
-    Returns labels `[view, frame, instance]`, 0 or -1; None where less than this share of the frames
-    shows each view at most one detection.
-    """
-    at_most_one: Bools = np.asarray((sample.detected.sum(-1) <= 1).all(0))
-    if at_most_one.mean() < share:
-        return None
-    return Matches(np.where(sample.detected & at_most_one[:, None], 0, -1))
 
 
 def have_same_groups(first: Matches, second: Matches) -> bool:

@@ -8,18 +8,14 @@ adjustment that follows knows which one the perspective speaks for, if it speaks
 
 import numpy as np
 
-from mocap_calib.config import (
-    FACTORIZATION_LEAST_PX,
-    FACTORIZATION_OUTLIER,
-    FACTORIZATION_POINTS,
-    FACTORIZATION_SWEEPS,
-    FACTORIZATION_VIEWS,
-)
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.results import Matches
 from mocap_calib.rig.tracks import gather_tracks
-from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Sample
+from mocap_calib.types import Bools, CameraRig, Floats, Sample
 
+# of three rotations up to a reversal; points: several times the unknowns of a view
+_LEAST_VIEWS = 3
+_LEAST_POINTS = 24
 _REVERSE_DEPTH = np.diag([1.0, 1.0, -1.0])
 
 
@@ -27,24 +23,44 @@ def factorise(sample: Sample, matches: Matches) -> tuple[CameraRig, ...]:
     """Return two rigs, reversed in depth from each other, from the points that all views see.
 
     The cameras are scaled orthographic: what comes out is a start for the adjustment, in units of
-    the subject's extent. Returns no rig where views or points are too few, or where they determine
-    no rotations.
+    the subject's RMS extent, its centroid at the origin. Returns no rig where views or points are
+    too few, or where they determine no rotations.
     """
     image = _image_points(sample, matches)
-    if len(image) < FACTORIZATION_VIEWS or image.shape[1] < FACTORIZATION_POINTS:
+    if len(image) < _LEAST_VIEWS or image.shape[1] < _LEAST_POINTS:
         return ()
-    focal = np.array([camera.focal for camera in sample.cameras])
-    pixels = image * focal[:, None, None]
-    kept = _points_that_fit(pixels)
-    affine, _ = _factorise_affine(pixels[:, kept])
-    rotation = _upgrade_to_rotations(affine)
-    if rotation is None:
+    middle = image.mean(1)
+    centred = np.concatenate(np.swapaxes(image - middle[:, None], 1, 2))  # [2 x view, point]
+    left, size, _ = np.linalg.svd(centred, full_matrices=False)
+    # the measurement matrix of centred images has rank 3 (Tomasi and Kanade 1992, section 3)
+    affine = (left[:, :3] * size[:3]).reshape(-1, 2, 3)
+    upgrade = _metric_upgrade(affine)
+    if upgrade is None:
         return ()
-    reversed_rotation = _REVERSE_DEPTH @ rotation @ _REVERSE_DEPTH
+    cameras = affine @ upgrade
+    length = np.linalg.norm(cameras, axis=-1, keepdims=True)
+    rows = cameras / length
+    third = np.cross(rows[:, :1], rows[:, 1:])
+    rotation = nearest_rotation(np.concatenate([rows, third], axis=1))
+    extent = np.linalg.norm(np.linalg.inv(upgrade)) / np.sqrt(image.shape[1])
+    scale = length.mean((1, 2)) * extent  # of an image: a length of 1 in space is so long in it
+    translation = np.column_stack([middle, np.ones(len(middle))]) / scale[:, None]
     return tuple(
-        _place_cameras(sample.cameras, each, image[:, kept])
-        for each in (rotation, reversed_rotation)
+        CameraRig(sample.cameras, each, translation, "arbitrary")
+        for each in (rotation, _REVERSE_DEPTH @ rotation @ _REVERSE_DEPTH)
     )
+
+
+def label_single_subject(sample: Sample) -> Matches | None:
+    """Label the only detection of each view as the single subject.
+
+    Returns labels `[view, frame, instance]`, 0 or -1; None where half of the frames or more show
+    several detections in some view.
+    """
+    at_most_one: Bools = np.asarray((sample.detected.sum(-1) <= 1).all(0))
+    if 2 * at_most_one.sum() <= len(at_most_one):
+        return None
+    return Matches(np.where(sample.detected & at_most_one[:, None], 0, -1))
 
 
 def _image_points(sample: Sample, matches: Matches) -> Floats:
@@ -56,42 +72,12 @@ def _image_points(sample: Sample, matches: Matches) -> Floats:
     return rays[:, everywhere, :2] / rays[:, everywhere, 2:]
 
 
-def _points_that_fit(pixels: Floats) -> Ints:
-    """Return the indices `[point]` of the points that three dimensions explain.
-
-    Detectors are sometimes wrong by much: points with a large residual are left out, until all fit.
-    """
-    kept = np.arange(pixels.shape[1])
-    while True:
-        _, residual = _factorise_affine(pixels[:, kept])
-        limit = max(FACTORIZATION_OUTLIER * np.median(residual), FACTORIZATION_LEAST_PX)
-        fits = residual <= limit
-        if fits.all() or fits.sum() < FACTORIZATION_POINTS:
-            return kept
-        kept = kept[fits]
-
-
-def _factorise_affine(pixels: Floats) -> tuple[Floats, Floats]:
-    """Return the affine cameras `[view, 2, 3]` about the centroid, and residuals `[point]` in px.
-
-    The measurement matrix of centred images has rank 3 (Tomasi and Kanade 1992, section 3).
-    pixels: `[view, point, 2]`.
-    """
-    centred = pixels - pixels.mean(1, keepdims=True)
-    measurements = np.concatenate(np.swapaxes(centred, 1, 2))  # [2 x view, point]
-    left, size, right = np.linalg.svd(measurements, full_matrices=False)
-    motion = left[:, :3] * size[:3]
-    residual = measurements - motion @ right[:3]
-    length = np.sqrt((residual**2).sum(0))
-    return motion.reshape(-1, 2, 3), length
-
-
-def _upgrade_to_rotations(affine: Floats) -> Floats | None:
-    """Return `[view, 3, 3]` rotations of affine cameras `[view, 2, 3]`, None where there are none.
+def _metric_upgrade(affine: Floats) -> Floats | None:
+    """Return the change of coordinates `[3, 3]` that makes cameras of affine ones, or None.
 
     In the right coordinates both rows m and n of each camera are as long, and at right angles:
     m' Q m = n' Q n and m' Q n = 0 are linear in the symmetric Q (Poelman and Kanade 1997, scaled
-    orthography).
+    orthography). affine: `[view, 2, 3]`.
     """
     m, n = affine[:, 0], affine[:, 1]
     size = (m**2).sum(1) + (n**2).sum(1)
@@ -105,11 +91,7 @@ def _upgrade_to_rotations(affine: Floats) -> Floats | None:
     # one negative value is noise along the direction that is seen least
     if values[-1] <= 0 or values[1] <= 0:
         return None
-    values = np.maximum(values, 1e-6 * values[-1])
-    upgraded = affine @ (vectors * np.sqrt(values))
-    rows = upgraded / np.linalg.norm(upgraded, axis=-1, keepdims=True)
-    third = np.cross(rows[:, :1], rows[:, 1:])
-    return nearest_rotation(np.concatenate([rows, third], axis=1))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 1e-6 * values[-1])))
 
 
 def _quadratic_terms(m: Floats, n: Floats) -> Floats:
@@ -126,35 +108,3 @@ def _quadratic_terms(m: Floats, n: Floats) -> Floats:
     yz = y * w + z * v
     zz = z * w
     return np.stack([xx, xy, xz, yy, yz, zz], axis=1)
-
-
-def _place_cameras(cameras: tuple[Camera, ...], rotation: Floats, image: Floats) -> CameraRig:
-    """Return the rig with cameras as far away as the size of the subject in their images says.
-
-    rotation: `[view, 3, 3]`; image: `[view, point, 2]`. Lengths are in units of the subject's RMS
-    extent, the origin is its centroid.
-    """
-    centroid = image.mean(1)
-    centred = np.swapaxes(image - centroid[:, None], 1, 2)  # [view, 2, point]
-    scale = _scales(rotation[:, :2], centred)
-    depth = 1.0 / np.maximum(np.abs(scale), 1e-9)
-    direction = np.concatenate([centroid, np.ones((len(centroid), 1))], axis=1)
-    return CameraRig(cameras, rotation, direction * depth[:, None], "arbitrary")
-
-
-def _scales(rows: Floats, centred: Floats) -> Floats:
-    """Return `[view]` scales of the images: a length of 1 in space is so long in the image.
-
-    The points and the scales are found in turns. rows: `[view, 2, 3]`, the first rows of the
-    rotations; centred: `[view, 2, point]`.
-    """
-    scale = np.ones(len(rows))
-    measurements = centred.reshape(-1, centred.shape[2])
-    for _ in range(FACTORIZATION_SWEEPS):
-        motion = (scale[:, None, None] * rows).reshape(-1, 3)
-        points = np.linalg.lstsq(motion, measurements, rcond=None)[0]
-        points /= np.sqrt((points**2).sum(0).mean())
-        projected = rows @ points
-        product = (centred * projected).sum((1, 2))
-        scale = product / (projected**2).sum((1, 2))
-    return scale

@@ -7,15 +7,13 @@ import pytest
 from scenes import calibrate_group, recording, rotation_errors_deg, scene
 
 from mocap_calib.adjust.refine import measure_fit
-from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.config import Config
 from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.rig.associate import label_single_subject
-from mocap_calib.rig.factorization import factorise
+from mocap_calib.rig.factorization import factorise, label_single_subject
 from mocap_calib.types import Camera, CameraRig, Recording, Sample
 
 REVERSE = np.diag([1.0, 1.0, -1.0])
-FACTORIZATION_SHARE = MatchingConfig().factorization_share
 ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}
 
 
@@ -67,7 +65,7 @@ def test_factorisation_is_exact_up_to_a_reversal():
     Measured: 0.02 deg in one of the two rigs, tens of degrees in the other.
     """
     seen, rig = telescopes(0.0)
-    rigs = factorise(seen, label_single_subject(seen, FACTORIZATION_SHARE))
+    rigs = factorise(seen, label_single_subject(seen))
     errors = [rotation_errors_deg(found, rig).max() for found in rigs]
     assert min(errors) < 0.1
     assert max(errors) > 10.0
@@ -75,7 +73,7 @@ def test_factorisation_is_exact_up_to_a_reversal():
 
 def test_the_two_rigs_are_reversals_of_each_other():
     seen, _ = telescopes(1.0)
-    first, second = factorise(seen, label_single_subject(seen, FACTORIZATION_SHARE))
+    first, second = factorise(seen, label_single_subject(seen))
     assert np.allclose(REVERSE @ first.rotation @ REVERSE, second.rotation, atol=1e-12)
     assert np.allclose(first.translation, second.translation, atol=1e-9)
 
@@ -83,15 +81,14 @@ def test_the_two_rigs_are_reversals_of_each_other():
 def test_two_views_are_not_factorised():
     seen, _ = telescopes(0.0)
     two = seen.select(views=np.arange(2))
-    assert factorise(two, label_single_subject(two, FACTORIZATION_SHARE)) == ()
+    assert factorise(two, label_single_subject(two)) == ()
 
 
 def test_a_single_subject_is_known_without_finding():
-    alone = label_single_subject(recording(**ALONE), FACTORIZATION_SHARE)
+    alone = label_single_subject(recording(**ALONE))
     assert alone is not None
     assert set(np.unique(alone.labels)) <= {-1, 0}
-    assert label_single_subject(recording(), FACTORIZATION_SHARE) is None
-    assert label_single_subject(recording(), FACTORIZATION_SHARE) is None
+    assert label_single_subject(recording()) is None
 
 
 def test_strangers_are_calibrated_by_geometry_alone():
@@ -123,5 +120,5 @@ def test_the_misfit_is_the_noise(noise):
     The margin is 15 %.
     """
     seen, rig = telescopes(noise)
-    fit = measure_fit(seen, rig, label_single_subject(seen, FACTORIZATION_SHARE), Config())
+    fit = measure_fit(seen, rig, label_single_subject(seen), Config())
     assert fit.misfit == pytest.approx(noise, rel=0.15)
