@@ -23,8 +23,7 @@ from mocap_calib.io.poses.common import check_rate, describe_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.io.units import ARBITRARY
-from mocap_calib.report import rig_report
-from mocap_calib.report_verdict import verdict_of_cameras
+from mocap_calib.report import run_report, verdict_of_cameras
 from mocap_calib.results import CalibrationResult, Mend, Poses3D
 from mocap_calib.types import Camera, CameraRig, Keypoints2D, Recording, intrinsics_of
 
@@ -150,7 +149,7 @@ def _provenance_of(rig: CameraRig, result: CalibrationResult | None) -> dict[str
         return {"version": __version__}
     for group in result.groups:
         if set(rig.names) <= set(group.rig.names):
-            return {"version": __version__, **verdict_of_cameras(rig_report(group, result))}
+            return {"version": __version__, **verdict_of_cameras(run_report(group, result))}
     raise ValueError("verdict: expected the result that the rig is from, got one of other cameras")
 
 

@@ -8,48 +8,45 @@ import numpy as np
 
 from mocap_calib import __version__, mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import IntrinsicsConfig
+from mocap_calib.config import VERDICT_LIMITS_DEG, IntrinsicsConfig
 from mocap_calib.faults.words import describe_clock, describe_faults
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement, round_sigma
 from mocap_calib.io.world_fields import world_fields
-from mocap_calib.recording.timeline import describe_epochs, views_by_camera
-from mocap_calib.report_verdict import (
-    describe_pair_sigmas,
-    describe_sigma,
-    describe_verdict,
-    finite_or_none,
-)
+from mocap_calib.pairs.solve import all_pairs
+from mocap_calib.recording.timeline import describe_epochs, own_name, views_by_camera
 from mocap_calib.results import (
     POINT_SOURCES,
     CalibrationResult,
+    Check,
     Fault,
     GroupResult,
     PairwiseCalibration,
 )
 from mocap_calib.rig.averaging import WEIGHT_AT_SCALE, best_scores
 from mocap_calib.rig.loops import alternative_taken
-from mocap_calib.types import EstimatedCamera, Floats
+from mocap_calib.types import ARBITRARY, EstimatedCamera, Floats
 from mocap_calib.verdict.checks import residuals_of
+from mocap_calib.verdict.evaluation import median_and_max
 
 SCHEMA = 3  # goes up when a key of run.json goes or changes its meaning
 
 
 def run_report(
-    group: GroupResult, result: CalibrationResult, *, inputs: Mapping[str, str]
+    group: GroupResult, result: CalibrationResult, *, inputs: Mapping[str, str] | None = None
 ) -> dict[str, Any]:
     """Return all numbers of a run for one group of cameras, under the keys of run.json.
 
     inputs: path -> SHA-256. What is not known is None.
     """
-    error, sigmas = residuals_of(group).distance, describe_pair_sigmas(group)
-    frames = group.recording.frames
+    error, frames = residuals_of(group).distance, group.recording.frames
     return {
         "schema": SCHEMA,
-        "verdict": describe_verdict(group),
+        "verdict": _describe_verdict(group),
         "version": __version__,
         "seed": result.seed,
         "config": asdict(result.config),
-        "inputs": dict(inputs),
+        "inputs": dict(inputs or {}),
         "seconds": {stage: round(seconds, 3) for stage, seconds in group.seconds.items()},
         "unit": group.rig.unit,
         "world": world_fields(group.rig.world, group.rig.unit),
@@ -60,29 +57,15 @@ def run_report(
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
         "epochs": describe_epochs(group.rig.names, frames),
         "cameras": _describe_cameras(group, error, result),
-        "pairs": list(
-            map_in_threads(
-                lambda k: sigmas[k] | _describe_pair(group, k, error),
-                range(len(group.pairs)),
-            )
-        ),
+        "pairs": _describe_pairs(group, error),
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
         "individuals": _describe_individuals(group),
         "poses": _describe_poses(group),
-        "points": _describe_points(group, error),
-    }
-
-
-def rig_report(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
-    """Return the part of `run_report` that says how far the cameras of a group can be trusted."""
-    error = residuals_of(group).distance
-    return {
-        "unit": group.rig.unit,
-        "verdict": describe_verdict(group),
-        "left_out": list(result.left_out),
-        "cameras": _describe_cameras(group, error, result),
-        "pairs": describe_pair_sigmas(group),
-        "points": _describe_points(group, error),
+        "points": {
+            "triangulated": int(np.isfinite(group.poses.error).sum()),
+            "reprojection_error_px": _median_and_p95(group.poses.error),
+            "mean_error_px": _median_of_means(error),
+        },
     }
 
 
@@ -94,6 +77,8 @@ def _describe_cameras(
     error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
     """
     all_detected, config = group.recording.detected, result.config
+    uncertainty, offsets = group.uncertainty, group.time_offsets
+    covariance = uncertainty.covariance
     scores = best_scores(group.pairs, len(group.rig))
 
     def describe(camera: tuple[str, list[int]]) -> dict[str, Any]:
@@ -110,9 +95,18 @@ def _describe_cameras(
             "unmatched": int(detected.sum()) - matched,
             "faults": _name_faults(group, views, faults),
             "fault_evidence": describe_faults(faults),
-            "weak_perspective": bool(group.uncertainty.weak_perspective[views].any()),
-            **describe_sigma(group, views),
-            "clock": _describe_clock(group, views[0]),
+            "weak_perspective": bool(uncertainty.weak_perspective[views].any()),
+            **_sigmas(
+                group,
+                covariance.rotation_sigma[views].max(),
+                covariance.centre_sigma[views].max(),
+            ),
+            "intrinsics_turn_deg": float(np.degrees(uncertainty.intrinsics_turn[views].max())),
+            "clock": {
+                "subframe_offset": finite_or_none(-offsets.tau[views[0]] + 0.0),
+                "sigma": finite_or_none(offsets.sigma[views[0]]),
+                "used": bool(offsets.used[views[0]]),
+            },
             "intrinsics": _describe_intrinsics(group, views[0], config.intrinsics),
             "reprojection_error_px": _median_and_p95(error[views]),
             "pair_score": finite_or_none(score),
@@ -142,16 +136,6 @@ def _describe_intrinsics(group: GroupResult, view: int, config: IntrinsicsConfig
     return found
 
 
-def _describe_clock(group: GroupResult, view: int) -> dict[str, Any]:
-    """Return by what part of a frame the clock of a camera is off, and whether that was used."""
-    offsets = group.time_offsets
-    return {
-        "subframe_offset": finite_or_none(-offsets.tau[view] + 0.0),
-        "sigma": finite_or_none(offsets.sigma[view]),
-        "used": bool(offsets.used[view]),
-    }
-
-
 def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) -> list[str]:
     """Return the words for what is wrong with a camera, each once.
 
@@ -164,11 +148,24 @@ def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) 
     return list(dict.fromkeys([*words, *found]))
 
 
+def _describe_pairs(group: GroupResult, error: Floats) -> list[dict[str, Any]]:
+    """Return how sure two cameras are to each other, and what is known of the pair.
+
+    Of the pairs that were calibrated; of all pairs where none was, as cameras were only adjusted.
+
+    error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
+    """
+    if not group.pairs:
+        return [_pair_sigmas(group, a, b) for a, b in _all_pairs(group)]
+    return list(map_in_threads(lambda k: _describe_pair(group, k, error), range(len(group.pairs))))
+
+
 def _describe_pair(group: GroupResult, index: int, error: Floats) -> dict[str, Any]:
     """Return what is known of one pair of cameras.
 
-    First what the rig makes of the points that both views see, then what the pair by itself
-    found, then how well it agrees with the rig that the pairs were averaged to.
+    First how sure the two are to each other, then what the rig makes of the points that both views
+    see, then what the pair by itself found, then how well it agrees with the rig that the pairs
+    were averaged to.
 
     error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
     """
@@ -177,6 +174,7 @@ def _describe_pair(group: GroupResult, index: int, error: Floats) -> dict[str, A
     focal = (group.rig.cameras[pair.a].focal + group.rig.cameras[pair.b].focal) / 2
     weight = float(averaged.weight[index])
     return {
+        **_pair_sigmas(group, pair.a, pair.b),
         "frames": pair.frames,
         "matches": _count_matches(group, pair),
         "reprojection_error_px": _median_and_p95(error[:, np.isfinite(error).all(0)].ravel()),
@@ -244,18 +242,6 @@ def _describe_poses(group: GroupResult) -> dict[str, Any]:
     }
 
 
-def _describe_points(group: GroupResult, error: Floats) -> dict[str, Any]:
-    """Return how many points were triangulated, and how well they fit.
-
-    error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
-    """
-    return {
-        "triangulated": int(np.isfinite(group.poses.error).sum()),
-        "reprojection_error_px": _median_and_p95(group.poses.error),
-        "mean_error_px": _median_of_means(error),
-    }
-
-
 def _median_of_means(error: Floats) -> float | None:
     """Return the median over the points of the mean error over the views, None without points.
 
@@ -276,3 +262,122 @@ def _median_and_p95(values: Floats) -> dict[str, float | None]:
     # in place, as these are a copy already
     median = float(np.median(values, overwrite_input=True))
     return {"median": median, "p95": float(np.percentile(values, 95, overwrite_input=True))}
+
+
+def _describe_verdict(group: GroupResult) -> dict[str, Any]:
+    """Return whether the recording determines the rig, and what it leaves open."""
+    uncertainty, verdict = group.uncertainty, group.assessment
+    reversal = group.adjusted.depth_reversed_rig is not None
+    return {
+        "rig": verdict.word,
+        "expected_error_deg": finite_or_none(verdict.error_deg),
+        "reasons": list(verdict.reasons),
+        "causes": [
+            {"name": cause.name, "camera": cause.camera or None, "error_deg": cause.error_deg}
+            for cause in verdict.causes
+        ],
+        "rotation_sigma_deg": median_and_max(np.degrees(uncertainty.covariance.rotation_sigma)),
+        "centre_sigma_percent": median_and_max(100 * uncertainty.covariance.centre_sigma),
+        "intrinsics_turn_deg": median_and_max(np.degrees(uncertainty.intrinsics_turn)),
+        "least_sure_pair": _least_sure_pair(group),
+        "checks": [_describe_check(check) for check in verdict.checks],
+        "reversal": "not observable" if reversal else "none found",
+        "translation": "not observable" if uncertainty.weak_perspective.any() else "observed",
+    }
+
+
+def verdict_of_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what files of cameras hold of the verdict: the fields of `provenance.judgement`.
+
+    report: what `run_report` returns.
+    """
+    verdict = report["verdict"]
+    sigma = verdict["rotation_sigma_deg"]
+    remarks = [
+        f"camera rotations (1 SD): {sigma['median']:.2f} deg, worst {sigma['max']:.2f}",
+        *verdict["reasons"],
+        *_describe_faults(report),
+    ]
+    if report["left_out"]:
+        remarks.append(f"cameras left out: {', '.join(report['left_out'])}")
+    error = report["points"]["mean_error_px"]
+    if error is not None:
+        remarks.append(f"reprojection error {error:.2f} px, which alone proves nothing")
+    sigmas = {
+        key: {camera["name"]: round_sigma(camera[key]) for camera in report["cameras"]}
+        for key in CAMERA_SIGMAS
+    }
+    of_pairs = {f"pair_{key}": _of_pairs(report, key) for key in CAMERA_SIGMAS}
+    return judgement(verdict["rig"], remarks, error, **sigmas, **of_pairs)
+
+
+def _describe_faults(report: Mapping[str, Any]) -> list[str]:
+    """Return a line for each fault that was found, and whether it was corrected."""
+    return [
+        f"{camera['name']}: {fault['says']}" + ("; mended for this run" if fault["mended"] else "")
+        for camera in report["cameras"]
+        for fault in camera["fault_evidence"].values()
+    ]
+
+
+def _of_pairs(report: Mapping[str, Any], key: str) -> dict[str, dict[str, float]]:
+    """Return a figure of the pairs by the names of their cameras.
+
+    Where a camera was moved, it has several, and the largest counts.
+    """
+    pairs = report["pairs"]
+    views = [pair[side] for pair in pairs for side in ("a", "b")]
+    found: dict[str, dict[str, float]] = {}
+    for pair in pairs:
+        a, b = (own_name(pair[side], views) for side in ("a", "b"))
+        if a != b:
+            row = found.setdefault(a, {})
+            row[b] = max(row.get(b, 0.0), round_sigma(pair[key]))
+    return found
+
+
+def _least_sure_pair(group: GroupResult) -> dict[str, Any]:
+    """Return that of the pair, of all of them, whose rotation is least sure; no length."""
+    turn = group.uncertainty.covariance.pair_rotation_sigma
+    found = _pair_sigmas(group, *max(_all_pairs(group), key=lambda pair: float(turn[pair])))
+    return {key: value for key, value in found.items() if key != "centre_sigma"}
+
+
+def _all_pairs(group: GroupResult) -> list[tuple[int, int]]:
+    """Return all pairs of views (indices) of two cameras."""
+    own = [own_name(name, group.rig.names) for name in group.rig.names]
+    return [(a, b) for a, b in all_pairs(len(own)) if own[a] != own[b]]
+
+
+def _pair_sigmas(group: GroupResult, a: int, b: int) -> dict[str, Any]:
+    """Return how sure two views (indices) are to each other: rotation and baseline."""
+    covariance, names = group.uncertainty.covariance, group.rig.names
+    turn, baseline = covariance.pair_rotation_sigma[a, b], covariance.pair_centre_sigma[a, b]
+    return {"a": names[a], "b": names[b], **_sigmas(group, turn, baseline)}
+
+
+def _sigmas(group: GroupResult, turn: float, length: float) -> dict[str, float | None]:
+    """Return standard deviations of a rotation in radians, and of a length in sizes of the rig."""
+    known = group.rig.unit != ARBITRARY
+    return {
+        "rotation_sigma_deg": float(np.degrees(turn)),
+        "centre_sigma_percent": 100 * float(length),
+        "centre_sigma": float(length) * group.uncertainty.covariance.size if known else None,
+    }
+
+
+def _describe_check(check: Check) -> dict[str, Any]:
+    """Return what a check found, and whether that is what sound recordings show."""
+    return {
+        "name": check.name,
+        "value": finite_or_none(check.error_deg),
+        "limit": VERDICT_LIMITS_DEG[0],
+        "error_deg": finite_or_none(check.error_deg) or 0.0,
+        "camera": check.camera or None,
+        "passed": check.passed,
+    }
+
+
+def finite_or_none(value: float) -> float | None:
+    """Return the value, or None where it is not known."""
+    return float(value) if np.isfinite(value) else None

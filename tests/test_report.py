@@ -17,8 +17,7 @@ from mocap_calib.geometry.lens import project_views
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.group import REVERSED_RIG, write_group
-from mocap_calib.report import run_report
-from mocap_calib.report_verdict import _of_pairs, verdict_of_cameras
+from mocap_calib.report import _of_pairs, run_report, verdict_of_cameras
 from mocap_calib.results import FAULT_WORDS, CalibrationResult, Clocks, TimeOffsets
 from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.verdict.verdict import assess

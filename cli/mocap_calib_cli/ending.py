@@ -19,7 +19,7 @@ _MOST_PAIRS = 6  # that are named in a line
 def camera_table(report: dict[str, Any]) -> Table:
     """Return a row for each camera: what it saw, how well that fits, and what is wrong.
 
-    report: what `run_report` or `rig_report` returns.
+    report: what `run_report` returns.
     """
     cameras = report["cameras"]
     errors = [camera["reprojection_error_px"]["median"] for camera in cameras]
@@ -83,7 +83,7 @@ def describe_group(report: dict[str, Any], folder: Path) -> list[str]:
 def describe_rig(report: dict[str, Any]) -> list[str]:
     """Return how sure cameras are, and what nothing that was seen determines.
 
-    report: what `run_report` or `rig_report` returns.
+    report: what `run_report` returns.
     """
     turn, shift = (report["verdict"][key] for key in ("rotation_sigma_deg", "centre_sigma_percent"))
     lines = [

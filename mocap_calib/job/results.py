@@ -37,8 +37,7 @@ from mocap_calib.recording.timeline import (
     recording_of_epoch,
     rig_of_epoch,
 )
-from mocap_calib.report import run_report
-from mocap_calib.report_verdict import verdict_of_cameras
+from mocap_calib.report import run_report, verdict_of_cameras
 from mocap_calib.results import CalibrationResult, GroupResult, ObservedPoints
 from mocap_calib.rig.triangulate import observe_points
 from mocap_calib.types import ARBITRARY

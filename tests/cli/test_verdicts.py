@@ -14,7 +14,7 @@ from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.job import steps
 from mocap_calib.job.load import KeypointSource
 from mocap_calib.job.steps import CalibrationRequest
-from mocap_calib.report import rig_report
+from mocap_calib.report import run_report
 from mocap_calib.results import VERDICTS, CalibrationResult, Cause, Verdict
 from mocap_calib.verdict import verdict
 from mocap_calib.world.place import move_group
@@ -250,7 +250,7 @@ def test_adjust_tells_errors_and_verdict_as_run_does(start, found, tmp_path):
     assert table[6].startswith(f"{tmp_path / 'a.yaml'}: rig ")
     judgement = load_cameras(tmp_path / "a.yaml").judgement
     assert judgement["verdict"] in done.stderr
-    error = rig_report(found.groups[0], found)["points"]["mean_error_px"]
+    error = run_report(found.groups[0], found)["points"]["mean_error_px"]
     assert judgement["reprojection_error_px"] == pytest.approx(error, rel=0.2)  # measured 0.01
 
 

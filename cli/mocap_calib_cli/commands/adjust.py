@@ -96,12 +96,11 @@ def _write_judged(
     """
     from mocap_calib.io.cameras.write import format_rig
     from mocap_calib.io.provenance import hold_for, provenance
-    from mocap_calib.report import rig_report
-    from mocap_calib.report_verdict import verdict_of_cameras
+    from mocap_calib.report import run_report, verdict_of_cameras
     from mocap_calib_cli import ending, outputs, verdicts
 
     (group,) = result.groups
-    report = rig_report(group, result)
+    report = run_report(group, result)
     judged = verdict_of_cameras(report)
     if frames is not None:
         judged = hold_for(judged, frames)

@@ -138,11 +138,11 @@ def write_text(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPo
 
 def _write(rig: CameraRig, points: ObservedPoints, name: str, ending: str) -> Written:
     """Write the files of a model with this ending. name: of the format. Raises MismatchError."""
-    from mocap_calib.io.cameras.colmap_model import build_model, silent_colmap  # noqa: PLC0415 - 0.3 s
+    from mocap_calib.io.cameras import colmap_model  # noqa: PLC0415 - takes 0.3 s
 
     need_sizes(rig, name)
-    with silent_colmap(), tempfile.TemporaryDirectory() as work:
-        model = build_model(rig, points)
+    with colmap_model.silent_colmap(), tempfile.TemporaryDirectory() as work:
+        model = colmap_model.build_model(rig, points)
         write = model.write_binary if ending == _BINARY else model.write_text
         write(work)
         files = {file + ending: (Path(work) / (file + ending)).read_bytes() for file in _FILES}
