@@ -65,7 +65,7 @@ def find_covariance(
     directions in which their points cannot follow, which are less than two of each.
     """
     system, scores, curvature = gather_information(state, seen, parameters, scale)
-    inverse = _inverse_at_size(curvature * system, state)
+    inverse = _inverse_at_size(curvature * system, state, parameters)
     time, joints = (scatter_of(scores, cluster) for cluster in (period, joint))
     both = scatter_of(scores, period * (joint.max(initial=0) + 1) + joint)
     # in standard deviations of independent errors, so that all directions count alike
@@ -139,16 +139,9 @@ def scatter_of(scores: Floats, cluster: Ints) -> Floats:
     return np.asarray(sums @ sums.T * (count / max(count - 1, 1)), dtype=np.float64)
 
 
-def _inverse_at_size(matrix: Floats, state: State) -> Floats:
-    """Return the inverse of a reduced camera system `[free, free]`, the size of the rig held.
-
-    The size changes as all cameras move away from the first: C -> C0 + s (C - C0).
-    """
-    first = -state.rotation[0].T @ state.translation[0]
-    size = np.zeros(len(matrix))
-    moves = np.zeros((len(state.rotation) - 1, POSE))
-    moves[:, 3:] = state.translation[1:] + state.rotation[1:] @ first
-    size[: moves.size] = moves.ravel()
+def _inverse_at_size(matrix: Floats, state: State, parameters: Parameters) -> Floats:
+    """Return the inverse of a reduced camera system `[free, free]`, the size of the rig held."""
+    size = size_direction(state, parameters)
     directions = np.linalg.svd(size[None])[2][1:].T  # all that leave the size as it is
     stiffness = np.diag(matrix)
     scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max()))  # rounding may go below
@@ -159,3 +152,14 @@ def _inverse_at_size(matrix: Floats, state: State) -> Floats:
     # what nothing determines is as uncertain as numbers allow, not certain
     inverse = (vectors / np.maximum(values, 1e-13 * values.max())) @ vectors.T
     return scale[:, None] * inverse * scale
+
+
+def size_direction(state: State, parameters: Parameters) -> Floats:
+    """Return how the free parameters `[free]` change as the rig grows.
+
+    All cameras move away from the first: C -> C0 + s (C - C0).
+    """
+    first = -state.rotation[0].T @ state.translation[0]
+    moves = np.zeros(parameters.by_view.shape[:2])
+    moves[:, 3:POSE] = state.translation + state.rotation @ first  # 0 of the first
+    return np.asarray(parameters.basis.T @ moves.ravel())

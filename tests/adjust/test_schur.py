@@ -8,8 +8,8 @@ from oracles import adjust as oracle
 from scenes import scene, turn_cameras
 
 from mocap_calib.adjust import covariance, residuals, solve
-from mocap_calib.adjust.covariance import find_covariance
-from mocap_calib.adjust.problem import free_intrinsics, free_poses
+from mocap_calib.adjust.covariance import find_covariance, size_direction
+from mocap_calib.adjust.problem import free_clocks, free_intrinsics, free_poses
 from mocap_calib.adjust.residuals import (
     Linearised,
     PixelResiduals,
@@ -356,3 +356,21 @@ def test_points_settle_where_they_pull_no_more(known):
     assert np.quantile(gain, 0.75) < 1e-5
     assert settled.cost * SCALE**2 == pytest.approx(robust_cost(there, seen))
     assert settled.cost * SCALE**2 < robust_cost(state, seen)
+
+
+def test_the_size_grows_as_poses_do_whichever_parameters_are_between_them():
+    """Each free clock comes after the pose of its camera; the derivative is numerical."""
+    state, _ = problem()
+    free = free_clocks(np.array([False, True, True]), sigma=1.0)
+    centres = -np.einsum("vji,vj->vi", state.rotation, state.translation)
+
+    def translation(size):
+        """Return `[view, 3]` of the rig at another size, its first camera in place."""
+        grown = centres[0] + size * (centres - centres[0])
+        return -np.einsum("vij,vj->vi", state.rotation, grown)
+
+    expected = np.zeros((3, 7))
+    expected[:, 3:6] = (translation(1 + 1e-5) - translation(1 - 1e-5)) / 2e-5
+    np.testing.assert_allclose(
+        (free.basis @ size_direction(state, free)).reshape(3, 7), expected, atol=1e-8
+    )
