@@ -298,8 +298,7 @@ class PosesConfig:
     ridge: inverse variance of a point before anything is known of it, which damps the steps.
     longest_gap: frames without any detection of a joint that are bridged.
     largest_sigma: of a point; what is less sure is missing.
-    outlier: standard deviations from which on a detection is dropped, and nats that an exchange of
-        left and right must gain.
+    outlier: standard deviations from which on a detection is dropped.
     """
 
     smooth: SmoothMode = "auto"

@@ -238,7 +238,6 @@ def _describe_poses(group: GroupResult) -> dict[str, Any]:
             for source, count in zip(POINT_SOURCES[1:], codes[1:].tolist(), strict=True)
         },
         "outliers": smoothing.outliers,
-        "exchanged": smoothing.exchanged,
     }
 
 

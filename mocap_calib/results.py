@@ -638,9 +638,8 @@ class Smoothing:
         body sizes; infinite = no limit, which is how it is where nothing was smoothed.
     loss: error of a ray, in standard deviations, that counts by half; NaN = nothing was smoothed.
     held_out, held_out_raw: how badly detections that were not shown are predicted, with these and
-        without, as `poses.choose` measures it; NaN where there was nothing to hide.
+        without, as `poses.stage.choose_strengths` measures it; NaN where there was nothing to hide.
     outliers: detections that were dropped since they are far from the estimates.
-    exchanged: pairs of detections, left and right, that were exchanged.
     """
 
     acceleration: float = np.inf
@@ -649,7 +648,6 @@ class Smoothing:
     held_out: float = np.nan
     held_out_raw: float = np.nan
     outliers: int = 0
-    exchanged: int = 0
 
 
 @dataclass(frozen=True, eq=False, repr=False)

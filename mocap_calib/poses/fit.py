@@ -178,8 +178,8 @@ def _pack(
         rays=_pack_rays(seen),
         centres=np.ascontiguousarray(seen.centres),
         points=found,
-        steps=np.ascontiguousarray(_in_tiles(body.steps).T),
-        expected=np.ascontiguousarray(_in_tiles(expected).T),
+        steps=np.ascontiguousarray(_padded(body.steps).T),
+        expected=np.ascontiguousarray(_padded(expected).T),
         edges=edges,
         bones=bones,
         along=np.empty((len(bones), len(edges), 4 * LANES)),
@@ -189,12 +189,8 @@ def _pack(
 
 def _pack_rays(seen: Detections) -> Floats:
     """Return rays and precisions `[tile, view, keypoint, 4 * LANES]`, 0 beyond the frames."""
-    views, joints, frames = seen.precision.shape
-    found = np.zeros((-(-frames // LANES), views, joints, 4, LANES))
-    for k in range(3):
-        _fill_tiles(seen.rays[k], found[..., k, :])
-    _fill_tiles(seen.precision, found[..., 3, :])
-    return found.reshape(len(found), views, joints, 4 * LANES)
+    found = _in_tiles(np.stack([*seen.rays, seen.precision], axis=2))
+    return found.reshape(*found.shape[:3], 4 * LANES)
 
 
 def _pack_bones(body: Body, strengths: Strengths) -> tuple[Ints, Floats]:
@@ -206,22 +202,17 @@ def _pack_bones(body: Body, strengths: Strengths) -> tuple[Ints, Floats]:
     lengths, varies = body.lengths[: len(edges)], body.varies[: len(edges)]
     known = np.isfinite(lengths)
     sigma = np.hypot(strengths.bones * body.size, np.where(known, varies, 0.0))
-    found = np.zeros((-(-lengths.shape[1] // LANES), len(edges), 3, LANES))
-    _fill_tiles(np.where(known, lengths, 0.0), found[..., 0, :])
-    _fill_tiles(known / sigma, found[..., 1, :])
-    found[..., 2, :] = 1e-9 * body.size.min()
+    shortest = np.full(lengths.shape, 1e-9 * body.size.min())
+    found = _in_tiles(np.stack([np.where(known, lengths, 0.0), known / sigma, shortest], axis=1))
     return np.ascontiguousarray(edges), found.reshape(len(found), len(edges), 3 * LANES)
 
 
 def _in_lanes(values: Floats) -> Floats:
-    """Return values `[keypoint, frame, N]` as `[group, frame, N * LANES]`, see `_in_tiles`."""
+    """Return values `[keypoint, frame, N]` as `[group, frame, N * LANES]`, see `_padded`."""
     joints, _, numbers = values.shape
-    groups = -(-joints // LANES)
-    padded = _in_tiles(values.swapaxes(1, 2))
-    found = np.zeros((groups * LANES, *padded.shape[1:]))
-    found[:joints] = padded
-    rows = found.reshape(groups, LANES, numbers, -1).transpose(0, 3, 2, 1)
-    return np.ascontiguousarray(rows).reshape(groups, -1, numbers * LANES)
+    padded = np.pad(_padded(values.swapaxes(1, 2)), ((0, -joints % LANES), (0, 0), (0, 0)))
+    rows = padded.reshape(-1, LANES, *padded.shape[1:]).transpose(0, 3, 2, 1)
+    return np.ascontiguousarray(rows).reshape(*rows.shape[:2], numbers * LANES)
 
 
 def _unpack(rows: Floats, joints: int, frames: int) -> Floats:
@@ -232,24 +223,18 @@ def _unpack(rows: Floats, joints: int, frames: int) -> Floats:
     return np.ascontiguousarray(own[:joints])
 
 
-def _in_tiles(values: Floats) -> Floats:
+def _padded(values: Floats) -> Floats:
     """Return values `[..., frame]` padded by their first and last frames.
 
     To whole tiles, and by two frames at each end.
     """
-    frames = values.shape[-1]
-    short = -frames % LANES
-    found = np.empty((*values.shape[:-1], AROUND + frames + short + AROUND))
-    found[..., :AROUND] = values[..., :1]
-    found[..., AROUND : AROUND + frames] = values
-    found[..., AROUND + frames :] = values[..., -1:]
-    return found
+    after = -values.shape[-1] % LANES + AROUND
+    return np.pad(values, [*[(0, 0)] * (values.ndim - 1), (AROUND, after)], mode="edge")
 
 
-def _fill_tiles(values: Floats, found: Floats) -> None:
-    """Set tiles `[tile, ..., LANES]` from values `[..., frame]`; lanes beyond the frames stay."""
-    whole, rest = divmod(values.shape[-1], LANES)
-    rows = values[..., : whole * LANES].reshape(*values.shape[:-1], whole, LANES)
-    found[:whole] = np.moveaxis(rows, -2, 0)
-    if rest:
-        found[whole, ..., :rest] = values[..., whole * LANES :]
+def _in_tiles(values: Floats) -> Floats:
+    """Return tiles `[tile, ..., LANES]` of values `[..., frame]`, 0 beyond the frames."""
+    *others, frames = values.shape
+    tiles = -(-frames // LANES)
+    padded = np.pad(values, [*[(0, 0)] * len(others), (0, tiles * LANES - frames)])
+    return np.ascontiguousarray(np.moveaxis(padded.reshape(*others, tiles, LANES), -2, 0))

@@ -1,8 +1,8 @@
 """From triangulated points to best estimates of the poses, an individual and a block at a time."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,13 @@ from mocap_calib.compute.parallel import map_in_threads, single_threaded_librari
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.geometry.alignment import body_size
 from mocap_calib.lift.lifter import load_vocabulary
-from mocap_calib.poses.choose import Choice, choose_strengths, drop_outliers, exchange_sides
-from mocap_calib.poses.fit import covariances, fit
+from mocap_calib.poses.fit import Strengths, covariances, fit, squared_errors
 from mocap_calib.poses.track import (
     Body,
     Detections,
     acceleration_steps,
+    accelerations,
     add_refused,
-    are_beyond_reach,
     arrays_to_fill,
     blocks,
     bone_lengths,
@@ -27,15 +26,15 @@ from mocap_calib.poses.track import (
     fill_gaps,
     join,
     point_sources,
-    reach_of_bones,
     with_gaps,
     with_second_neighbours,
 )
-from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import GroupResult, Matches, Poses3D, Smoothing
 from mocap_calib.rig.tracks import gather_tracks, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, silent
+
+_MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,6 @@ class _Individual:
 
     index: of its label. frames: `[frame]` indices of those in which it is estimated.
     lengths, varies: `[edge]` of its bones and what joins their ends, and by how much they vary.
-    reach: `[keypoint, keypoint]` how far joints can be from each other.
     """
 
     index: int
@@ -52,7 +50,6 @@ class _Individual:
     size: float
     lengths: Floats
     varies: Floats
-    reach: Floats
 
 
 @dataclass(frozen=True)
@@ -108,15 +105,13 @@ class _Scene:
         variances = mapped.take(self.poses.covariance[:, index], measured)[..., (0, 3, 5)]
         sigma = np.sqrt(variances.sum(-1, dtype=np.float64))
         lengths, varies = bone_lengths(points, sigma, self.edges)
-        bones = slice(len(self.bones))
-        reach = reach_of_bones(lengths[bones], varies[bones], self.bones, raw.shape[1])
         frames = with_gaps(there, self.times, self.config.longest_gap)
-        return _Individual(index, frames, size, lengths, varies, reach + size)
+        return _Individual(index, frames, size, lengths, varies)
 
     def track(self, who: _Individual, frames: Ints) -> tuple[Floats, Detections, Body]:
         """Return points `[keypoint, frame, 3]` to start from, detections and body.
 
-        Detections of points that no body can have are none. frames: `[frame]` indices.
+        frames: `[frame]` indices.
         """
         own = Matches(np.where(self.matches.labels[:, frames] == who.index, 0, -1))
         recording = self.recording.select(frames=frames)
@@ -132,12 +127,7 @@ class _Scene:
             size=np.full(len(frames), who.size),
             steps=acceleration_steps(times, self.config.longest_gap + 1),
         )
-        start = self.start[frames, who.index]
-        impossible = are_beyond_reach(start, who.reach)
-        points = fill_gaps(np.where(impossible[..., None], np.nan, start), times)
-        detections = replace(
-            detections, precision=np.where(impossible.T, 0.0, detections.precision)
-        )
+        points = fill_gaps(self.start[frames, who.index], times)
         return np.ascontiguousarray(points.swapaxes(0, 1)), detections, body
 
 
@@ -174,8 +164,8 @@ def _fit_all(
 ) -> tuple[Poses3D, Smoothing]:
     """Return the best estimates of all individuals of a scene, and how they were made."""
     poses, config = scene.poses, scene.config
-    choice = _choose(scene)
-    if not np.isfinite(choice.strengths.acceleration):
+    strengths, held_out, without = _choose(scene)
+    if not np.isfinite(strengths.acceleration):
         wider = replace(triangulate, outlier=2 * triangulate.outlier)
         where = (scene.recording, scene.rig, scene.matches, poses.raw)
         start = add_refused(*where, noise=scene.noise, config=wider)
@@ -185,28 +175,26 @@ def _fit_all(
     pieces = [(who, *block) for who in scene.individuals for block in blocks(who.frames, config)]
 
     def work(piece: tuple[_Individual, slice, Ints]) -> Ints:
-        """Fit frames; return how many, and the numbers of outliers and of exchanged pairs."""
+        """Fit frames; return how many, and the number of outliers."""
         who, inner, frames = piece
-        found, outliers, exchanged = _estimate(scene, who, frames, choice)
+        found, outliers = _estimate(scene, who, frames, strengths)
         own = frames[inner]
         for name, array in arrays.items():
             array[mapped.as_slice(own), who.index] = found[name][inner]
-        dropped, pairs = outliers[..., inner].sum(), exchanged[..., inner].sum() // 2
-        return np.array([len(own), dropped, pairs])
+        return np.array([len(own), outliers[..., inner].sum()])
 
-    counts = np.zeros(3, dtype=np.int64)
+    counts = np.zeros(2, dtype=np.int64)
     for done in map_in_threads(work, pieces):
         counts += done
         mapped.let_go()
         progress("smooth", int(counts[0]), total)
     smoothing = Smoothing(
-        acceleration=choice.strengths.acceleration,
-        bones=choice.strengths.bones,
-        loss=choice.strengths.loss,
-        held_out=choice.held_out,
-        held_out_raw=choice.without,
+        acceleration=strengths.acceleration,
+        bones=strengths.bones,
+        loss=strengths.loss,
+        held_out=held_out,
+        held_out_raw=without,
         outliers=int(counts[1]),
-        exchanged=int(counts[2]),
     )
     return replace(poses, **arrays), smoothing
 
@@ -225,8 +213,8 @@ def smooth_group(group: GroupResult, config: Config, *, progress: Progress = sil
     return replace(group, poses=poses, smoothing=smoothing)
 
 
-def _choose(scene: _Scene) -> Choice:
-    """Return how strongly to smooth, from stretches of all individuals."""
+def _choose(scene: _Scene) -> tuple[Strengths, float, float]:
+    """Return how strongly to smooth, from stretches of all individuals: see `choose_strengths`."""
     config = scene.config
     tracks = [scene.track(who, frames) for who, frames in _stretches(scene.individuals, config)]
     points, seen, bodies = zip(*tracks, strict=True)
@@ -254,19 +242,16 @@ def _stretches(
 
 
 def _estimate(
-    scene: _Scene, who: _Individual, frames: Ints, choice: Choice
-) -> tuple[dict[str, Any], Bools, Bools]:
+    scene: _Scene, who: _Individual, frames: Ints, strengths: Strengths
+) -> tuple[dict[str, Any], Bools]:
     """Return the best estimates of one individual in frames that follow each other.
 
     By name: positions `[frame, keypoint, 3]`, covariance `[frame, keypoint, 6]`, source `[frame,
-    keypoint]`. And which detections `[view, keypoint, frame]` were dropped, and exchanged.
+    keypoint]`. And which detections `[view, keypoint, frame]` were dropped.
     """
-    config, strengths = scene.config, choice.strengths
+    config = scene.config
     points, seen, body = scene.track(who, frames)
     points = fit(points, seen, body, strengths, config, steps=2 * config.steps)
-    seen, exchanged = exchange_sides(
-        points, seen, exchanged_sides(scene.recording.keypoints), config
-    )
     seen, outliers = drop_outliers(points, seen, config)
     points = fit(points, seen, body, strengths, config, steps=config.steps)
     wide = replace(strengths, loss=config.losses[0])  # a narrow loss weighs all errors as outliers
@@ -276,11 +261,115 @@ def _estimate(
     source = point_sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)
     sigma = np.sqrt(covariance[..., (0, 3, 5)].sum(-1))
     source = np.where(sigma <= config.largest_sigma * who.size, source, 0)
-    source = np.where(are_beyond_reach(points.swapaxes(0, 1), who.reach).T, 0, source)
     missing = (source == 0)[..., None]
     found = {
         "positions": np.where(missing, np.nan, points).swapaxes(0, 1),
         "covariance": np.where(missing, np.nan, covariance).swapaxes(0, 1),
         "source": source.T,
     }
-    return found, outliers, exchanged
+    return found, outliers
+
+
+# How strongly to smooth
+
+
+def choose_strengths(
+    points: Floats, seen: Detections, body: Body, config: PosesConfig, *, moves: bool
+) -> tuple[Strengths, float, float]:
+    """Return the strengths that predict hidden detections best, and how well they do.
+
+    That is the mean of log(1 + r^2 / 4), r the error of the hidden detections in standard
+    deviations, with smoothing and without; NaN where no detection was hidden.
+
+    Of each parameter in turn the weakest within a standard error of the best is taken:
+    accelerations, bones, loss, and accelerations again, more finely. Where too few points have
+    three views to hide one, the strengths follow from the accelerations of the points themselves.
+
+    points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
+    """
+    chosen = usual_strengths(points, seen, body, config, moves=moves)
+    hidden, run = _hide(seen, config)
+    if len(run) < 2 * config.held_out_stretch:
+        return chosen, np.nan, np.nan
+    shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
+
+    @cache
+    def loss(strengths: Strengths) -> Floats:
+        """Return the loss `[N]` of each hidden detection."""
+        found = fit(points, shown, body, strengths, config, steps=config.steps)
+        return np.log1p(squared_errors(found, seen)[hidden] / 4)
+
+    def weakest(name: str, values: Sequence[float]) -> Strengths:
+        """Return the strengths with the first value that predicts about as well as the best."""
+        tried = [replace(chosen, **{name: value}) for value in values]
+        best = min(map(loss, tried), key=np.mean)
+        more = ((each, loss(each) - best) for each in tried)
+        return next(each for each, lost in more if lost.mean() <= error_of_mean(lost, run))
+
+    if moves and body.steps.any() and np.isfinite(chosen.acceleration):
+        chosen = weakest("acceleration", (np.inf, *config.accelerations))
+    if len(body.edges):
+        chosen = weakest("bones", (np.inf, *config.bones))
+    chosen = weakest("loss", config.losses)
+    chosen = weakest("acceleration", (chosen.acceleration * np.sqrt([4, 2, 1, 0.5])).tolist())
+    raw = loss(replace(chosen, acceleration=np.inf, bones=np.inf))
+    return chosen, float(loss(chosen).mean()), float(raw.mean())
+
+
+def error_of_mean(values: Floats, run: Ints) -> float:
+    """Return the standard error of the mean of values `[N]`, which are correlated in runs.
+
+    run: `[N]` the number of the run that each belongs to.
+    """
+    off = np.bincount(run, values - values.mean())
+    return float(np.sqrt((off**2).sum()) / len(values))
+
+
+def usual_strengths(
+    points: Floats, seen: Detections, body: Body, config: PosesConfig, *, moves: bool
+) -> Strengths:
+    """Return strengths without held-out detections: weak ones.
+
+    Accelerations are allowed that are as large as those of the points, noise included; where even
+    these are too large for one motion, frames do not follow each other.
+    """
+    acceleration = accelerations(points, body)
+    ends = acceleration.shape[1]
+    size = np.sqrt((acceleration**2).sum(-1)) / body.size[:ends]
+    there = (seen.precision > 0).sum(0) >= 2
+    counted = np.all([there[:, k : k + ends] for k in range(3)], axis=0)
+    counted &= body.steps[0, :ends] != 0
+    sigma = float(np.median(size[counted])) / _MEDIAN_LENGTH if counted.any() else np.inf
+    follow = moves and sigma < config.accelerations[0]
+    allowed = sigma if follow else np.inf
+    bones = config.bones[1] if len(body.edges) else np.inf
+    return Strengths(max(allowed, config.accelerations[-1]), bones, config.losses[0])
+
+
+def _hide(seen: Detections, config: PosesConfig) -> tuple[Bools, Ints]:
+    """Return which detections `[view, keypoint, frame]` are hidden, and the run `[N]` of each.
+
+    Of every point that three views or more detect, one view is hidden: two of each point stay. A
+    joint is hidden from a view for runs of half a stretch, as errors are correlated in time: with 5
+    frames the detections just before and after are as wrong, and Shelf is smoothed as much as can
+    be.
+    """
+    there = seen.precision > 0
+    views, joints, frames = there.shape
+    length = max(config.held_out_stretch // 2, 1)
+    views_of_runs = np.random.default_rng(0).integers(views, size=(joints, frames // length + 1))
+    chosen = views_of_runs.repeat(length, axis=1)[:, :frames] == np.arange(views)[:, None, None]
+    hidden = chosen & there & (there.sum(0) >= 3)
+    _, joint, frame = np.nonzero(hidden)
+    return hidden, joint * frames + frame // length
+
+
+def drop_outliers(
+    points: Floats, seen: Detections, config: PosesConfig
+) -> tuple[Detections, Bools]:
+    """Return the detections without those far from the points, and which these are.
+
+    points: `[keypoint, frame, 3]`. Which: `[view, keypoint, frame]`.
+    """
+    far = (seen.precision > 0) & (squared_errors(points, seen) > config.outlier**2)
+    return replace(seen, precision=np.where(far, 0.0, seen.precision)), far

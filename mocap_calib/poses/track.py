@@ -135,15 +135,10 @@ def time_around(there: Bools, times: Floats) -> Floats:
 
 def with_gaps(there: Ints, times: Floats, longest: int) -> Ints:
     """Return indices of frames, with those of gaps between them that are no longer than this."""
-    if not len(there):
-        return there
-    short = np.diff(times[there]) <= longest + 1
-    inside = np.zeros(len(times) + 1, dtype=np.int64)
-    np.add.at(inside, there[:-1][short], 1)
-    np.add.at(inside, there[1:][short], -1)
-    wanted = np.cumsum(inside)[:-1] > 0
-    wanted[there] = True
-    return np.flatnonzero(wanted)
+    frames = np.arange(there[0], there[-1] + 1)
+    last = there[np.searchsorted(there, frames, side="right") - 1]
+    following = there[np.searchsorted(there, frames)]
+    return frames[times[following] - times[last] <= longest + 1]
 
 
 def point_sources(seen: Detections, met: Bools, times: Floats, longest: int) -> Ints:
@@ -232,39 +227,6 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Fl
     found = np.full((2, len(edges)), np.nan)
     found[:, seen] = middle, np.sqrt(varies)
     return found[0], found[1]
-
-
-def reach_of_bones(lengths: Floats, varies: Floats, bones: Ints, keypoints: int) -> Floats:
-    """Return how far each keypoint can be from each other `[keypoint, keypoint]`.
-
-    That is the sum of the bones between them, each as long as three standard deviations of what it
-    varies by allow; inf where no bones of known length lead from one to the other.
-
-    lengths, varies: `[bone]` as `bone_lengths` finds them.
-    """
-    known = np.isfinite(lengths)
-    a, b = bones[known].T
-    reach = np.where(np.eye(keypoints, dtype=bool), 0.0, np.inf)
-    reach[a, b] = reach[b, a] = (lengths + 3 * varies)[known]
-    for via in range(keypoints):  # Floyd and Warshall 1962; scipy's graphs take long to import
-        reach = np.minimum(reach, reach[:, via, None] + reach[via])
-    return reach
-
-
-def are_beyond_reach(points: Floats, reach: Floats) -> Bools:
-    """Return which points `[frame, keypoint]` are farther from most of the others than is possible.
-
-    Two views that take the same thing in the background for a joint agree on where it is. What the
-    bones allow, they do not.
-
-    points: `[frame, keypoint, 3]`. reach: `[keypoint, keypoint]` the largest possible distances.
-    """
-    known = np.triu(np.isfinite(reach), k=1)
-    a, b = np.nonzero(known)
-    square = sum((axis[:, a] - axis[:, b]) ** 2 for axis in points.transpose(2, 0, 1))
-    ends = ((a[:, None] == np.arange(len(reach))) | (b[:, None] == np.arange(len(reach)))) * 1.0
-    beyond, compared = square > reach[known] ** 2, np.isfinite(square)
-    return np.asarray(2 * (beyond @ ends) > compared @ ends)
 
 
 def with_second_neighbours(bones: Ints, keypoints: int) -> Ints:

@@ -10,18 +10,15 @@ from scenes import recording, scene, truth
 from mocap_calib import mapped
 from mocap_calib.config import Config, PosesConfig
 from mocap_calib.geometry.alignment import Similarity
-from mocap_calib.geometry.lens import project_views
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.poses import track
-from mocap_calib.poses.choose import error_of_mean
 from mocap_calib.poses.fit import Strengths, fit
-from mocap_calib.poses.stage import smooth_poses
+from mocap_calib.poses.stage import error_of_mean, smooth_poses
 from mocap_calib.poses.track import (
     Body,
     Detections,
     acceleration_steps,
     bone_lengths,
-    reach_of_bones,
     with_second_neighbours,
 )
 from mocap_calib.results import POINT_SOURCES, Matches, Poses3D, Smoothing
@@ -151,21 +148,6 @@ def test_short_gaps_are_bridged_and_long_ones_are_not():
     assert (sigma[13] > 1.5 * sigma[5]).all()
 
 
-def test_sides_taken_for_each_other_are_exchanged():
-    seen = recording(**EASY)
-    left, right = (seen.keypoints.index(f"{side}_wrist") for side in ("left", "right"))
-    positions = seen.positions.copy()
-    positions[1, 20:30, :, [left, right]] = positions[1, 20:30, :, [right, left]]
-    poses, smoothing = smooth(replace(seen, positions=positions), **EASY)
-    usual, before = smoothed(**EASY)
-    assert before.exchanged == 0
-    assert (
-        smoothing.exchanged >= 15
-    )  # of 30: where the wrists lie one behind the other nobody knows
-    part = np.s_[20:30, :, [left, right]]
-    assert mean_error(poses.positions[part], usual.positions[part]) < 0.02
-
-
 def test_nothing_is_smoothed_over_time_where_frames_do_not_follow_each_other():
     order = np.random.default_rng(0).permutation(60)
     seen = recording(**EASY).select(frames=order)
@@ -248,31 +230,6 @@ def test_ends_of_two_bones_in_turn_are_edges_too():
     edges = with_second_neighbours(bones, 7)
     assert edges.tolist() == [*bones.tolist(), [0, 2], [1, 3]]
     assert with_second_neighbours(np.zeros((0, 2), int), 3).shape == (0, 2)
-
-
-def test_joints_reach_as_far_as_the_bones_between_them():
-    bones = np.array([[0, 1], [2, 1], [2, 3], [3, 4]])
-    reach = reach_of_bones(np.array([1, 2, 4, np.nan]), np.array([0, 0.1, 0, 0]), bones, 5)
-    assert reach[0, 3] == reach[3, 0] == pytest.approx(1 + 2.3 + 4)
-    assert np.isinf(reach[4, :4]).all()
-
-
-def test_a_joint_metres_away_is_not_taken_however_well_the_views_agree_on_it():
-    """All views see a wrist in one place, 4 m above; triangulation has it there."""
-    seen, keypoint = recording(**EASY), recording(**EASY).keypoints.index("left_wrist")
-    part = np.s_[20:26, 0, keypoint]
-    place = true_points(**EASY)[part].mean(0) + [0, 0, 4]
-    positions, confidence = seen.positions.copy(), seen.confidence.copy()
-    view, frame, instance = np.nonzero(truth(**EASY).labels[:, 20:26] == 0)
-    pixels = project_views(scene(**EASY).rig, place[:, None])[..., 0]
-    positions[view, frame + 20, instance, keypoint] = pixels[view]
-    confidence[view, frame + 20, instance, keypoint] = 1
-    poses, _ = smooth(replace(seen, positions=positions, confidence=confidence), **EASY)
-    assert (np.linalg.norm(poses.raw[part] - place, axis=-1) < 0.2).all()
-    assert (poses.source[part] == codes("interpolated")).all()
-    assert mean_error(poses.positions[part], true_points(**EASY)[part]) < 0.06
-    others = poses.source[:, :, np.arange(len(seen.keypoints)) != keypoint]
-    assert (others == codes("triangulated")).mean() > 0.99
 
 
 def test_blocks_of_time_join_without_a_seam(monkeypatch):

@@ -95,7 +95,6 @@ const EXPLANATIONS: Record<string, Explanation> = {
   "poses.model": e("From the model", "Positions of a lifted body.", "points"),
   "poses.interpolated": e("Interpolated", "Positions in short gaps, where no view saw the joint.", "points"),
   "poses.outliers": e("Outliers", "Detections that were dropped since they are far from the estimates."),
-  "poses.exchanged": e("Exchanged", "Detections, left and right, that were exchanged."),
   "poses.acceleration_sigma": e("Acceleration allowed", "Standard deviation of accelerations that was allowed, in body sizes per squared frame; not known: nothing was smoothed."),
   "poses.bone_sigma": e("Bone change allowed", "Standard deviation of the lengths of bones that was allowed, in body sizes."),
   "poses.held_out_error": e("Held-out error", "How badly detections that were not shown are predicted, in standard deviations."),
