@@ -14,7 +14,7 @@ import torch
 from protocol_scenes import Kind
 
 from mocap_calib.recording.joints import load_section, load_skeleton
-from mocap_calib.training.config import TrainConfig
+from mocap_calib.training import TrainConfig
 from mocap_calib.training.model import Model, load_steerer, steer
 from mocap_calib.training.poses import load_poses
 from mocap_calib.training.synthesis import Batch, Synthesiser

@@ -13,6 +13,7 @@ from protocol_rivals import LiftedPair, adjust, lifted_pair, procrustes, sphere
 from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseConfig
 from mocap_calib.geometry.epipolar import pose_from_essential
 from mocap_calib.lift.lift import lift, rays_by_joint
+from mocap_calib.lift.lifter import Lifter
 from mocap_calib.pairs.solve import calibrate_pair, pair_problem
 from mocap_calib.paper import (
     FIVE_POINT_LEAST_JOINTS,
@@ -27,7 +28,7 @@ from mocap_calib.paper import (
 from mocap_calib.paper.losses import TwoViews
 from mocap_calib.paper.solver import PaperConfig, solve_pair, solve_pairs
 from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
-from mocap_calib.training.model import LifterModule, Model, lifter_of, load_steerer
+from mocap_calib.training.model import LifterModule, Model, load_steerer
 from mocap_calib.types import Bools, Floats, Sample, Skeleton, silent
 
 TIMED = 1  # pairs that the paper's solver does alone, to know its seconds
@@ -57,6 +58,11 @@ def load_models(methods: Sequence[str], skeleton: str = "people") -> dict[str, M
     if any("token" in method for method in methods):
         models["token"] = load_steerer(f"{skeleton}_token")[0]
     return models
+
+
+def lifter_of(module: LifterModule) -> Lifter:
+    """Return what a module has learnt, without torch."""
+    return Lifter(module.config, {name: each.numpy() for name, each in module.state_dict().items()})
 
 
 def _each(problems: Sequence[Problem], solve: Callable[[Problem], Found | None]) -> Answers:

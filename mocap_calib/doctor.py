@@ -32,7 +32,7 @@ from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.synthetic import simulate
 from mocap_calib.synthetic.config import SimulateConfig
-from mocap_calib.training.device import describe_devices
+from mocap_calib.training import describe_devices
 from mocap_calib.verdict.evaluation import evaluate
 
 

@@ -39,7 +39,7 @@ from mocap_calib.rig.large_rigs import calibrate_view_graph
 from mocap_calib.rig.loops import select_hypotheses
 from mocap_calib.rig.observed import Observed, leave_out_underconstrained
 from mocap_calib.rig.triangulate import check_same_cameras
-from mocap_calib.training.device import on_device
+from mocap_calib.training import on_device
 from mocap_calib.types import CameraRig, Ints, Mapper, Progress, Recording, silent
 from mocap_calib.verdict.verdict import conclude, judge
 from mocap_calib.world.place import place_result

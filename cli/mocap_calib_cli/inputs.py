@@ -236,7 +236,7 @@ def lift_with_model(
     """Lift the detections of a sample. Raises MismatchError where there is no such device."""
     from mocap_calib.lift.lift import lift
     from mocap_calib.lift.lifter import load_model
-    from mocap_calib.training.device import on_device
+    from mocap_calib.training import on_device
 
     lifter = on_device(load_model(model, pair_solver=pair_solver), device)
     return lift(sample, lifter, progress=reporter)

@@ -49,7 +49,7 @@ from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
 from mocap_calib.results import CalibrationResult, Clocks, GroupResult, LiftedPoses, Matches
 from mocap_calib.rig.large_rigs import calibrate_view_graph
 from mocap_calib.rig.tracks import gather_tracks
-from mocap_calib.training.device import on_device
+from mocap_calib.training import on_device
 from mocap_calib.types import (
     CameraClock,
     CameraRig,

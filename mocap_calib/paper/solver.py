@@ -30,7 +30,7 @@ from mocap_calib.paper.losses import (
 )
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import PairwiseCalibration
-from mocap_calib.training.device import torch_threads
+from mocap_calib.training import torch_threads
 from mocap_calib.training.model import Model, matrix_from_vector, normalise, prepare_steering
 from mocap_calib.types import Floats, Ints
 

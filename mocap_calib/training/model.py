@@ -9,7 +9,8 @@ network (section 3.1 and appendix C) is kept as a measured reference.
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 
@@ -17,6 +18,7 @@ import torch
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
+from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.io.atomic import write_bytes
 from mocap_calib.lift.lifter import (
     DESCRIPTION,
@@ -27,8 +29,7 @@ from mocap_calib.lift.lifter import (
     weights_of,
 )
 from mocap_calib.recording.joints import parse_skeleton
-from mocap_calib.training.config import TokenConfig
-from mocap_calib.types import Skeleton
+from mocap_calib.types import Bools, Floats32, Skeleton
 
 
 class LifterModule(nn.Module):
@@ -72,11 +73,23 @@ def module_of(lifter: Lifter) -> LifterModule:
     return module.eval()
 
 
-def lifter_of(module: LifterModule) -> Lifter:
-    """Return what a module has learnt, without torch."""
-    return Lifter(
-        module.config, {name: each.cpu().numpy() for name, each in module.state_dict().items()}
-    )
+@dataclass(frozen=True, eq=False)
+class DeviceLifter(Lifter):
+    """A lifter whose network runs in torch on a device such as "cuda:1"."""
+
+    device: str
+
+    @torch.no_grad()
+    def __call__(self, pose: Floats32, seen: Bools) -> tuple[Floats32, Floats32]:
+        """Return joints `[B, J, 3]` and log standard deviations `[B, J, 2]`, see `Lifter`."""
+        given = (torch.from_numpy(values).to(self.device) for values in (pose, seen))
+        joints, log_deviation = self._module(*given)
+        return joints.cpu().numpy(), log_deviation.cpu().numpy()
+
+    @cached_property
+    def _module(self) -> LifterModule:
+        """The network in torch, on the device."""
+        return module_of(self).to(self.device)
 
 
 def _learnt_tokens(tokens: int, width: int) -> tuple[nn.Parameter, nn.Parameter]:
@@ -115,6 +128,19 @@ def normalise(pose: Tensor, seen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     square = offset.square().sum((1, 2)) / count[:, 0]  # (B,)
     scale = square.sqrt().clamp_min(1e-9)
     return offset / scale[:, None, None], centre, scale
+
+
+@dataclass(frozen=True)
+class TokenConfig:
+    """Size of the paper's network; saved inside the checkpoint.
+
+    The paper does not give the number of heads and the width of the feed-forward layers.
+    """
+
+    joints: int
+    width: int = 32  # of a token
+    layers: int = 5  # of the encoder
+    heads: int = ENCODER_HEADS
 
 
 class TokenSteerer(nn.Module):

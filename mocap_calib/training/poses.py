@@ -1,13 +1,10 @@
-"""3D poses to train on, from files and from the `body` of a skeleton.
+"""3D poses to train on: of files, of a run, and bodies made from the `body` of a skeleton.
 
 A set may lack joints of the vocabulary: they are NaN, never seen, and no target.
 """
 
 import io
 import json
-import struct
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,22 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.errors import DegenerateError, FormatError, MismatchError
+from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.recording.joints import match_names
+from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.poses.common import refuse_damage
+from mocap_calib.io.poses.read import read_poses
+from mocap_calib.recording.joints import load_section, load_skeleton, match_names, parse_skeleton
+from mocap_calib.results import Poses3D
 from mocap_calib.synthetic.body_plan import parse_body
 from mocap_calib.synthetic.procedural import sample_bodies
-from mocap_calib.types import Bools, Floats, Skeleton
-from mocap_calib.wording import one_line
+from mocap_calib.training import (
+    OWN_SPECIES_LARGEST_ERROR,
+    OWN_SPECIES_LEAST_POSES,
+    OWN_SPECIES_TRAINING,
+    TrainConfig,
+)
+from mocap_calib.types import Bools, CameraRig, Floats, Skeleton
 
 Split = Literal["train", "val", "test"]
 _TENTHS: dict[Split, int] = {"train": 7, "val": 2, "test": 1}  # of a set without a split
 
-# what numpy and zipfile raise of a file that is cut, changed or none of theirs
-_DAMAGED = (
-    *(OSError, EOFError, ValueError, KeyError, TypeError, NotImplementedError, MemoryError),
-    *(SyntaxError, RecursionError, zipfile.BadZipFile, zlib.error, struct.error),
-)
 _ARRAYS = ("poses", "poses3d", "joints", "split", "subject", "clip")
 _OTHER_NAMES = {"poses3d": "poses", "clip": "subject"}
 
@@ -95,35 +97,28 @@ def _weight_by_subject(subject: NDArray[Any]) -> Floats:
 
 
 def _read(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays `poses`, `joints` and what else there is. Raises FormatError."""
-    try:
-        fields = _read_arrays(path)
-    except _DAMAGED as error:
-        raise FormatError(
-            f"{path}: expected an npz file of 3D poses, "
-            f"or a folder with poses3d.npz and joints.json: {one_line(error, width=200)}"
-        ) from None
-    for other, name in _OTHER_NAMES.items():
-        if other in fields:
-            fields.setdefault(name, fields[other])
+    """Return the arrays of a file that are known, with the names of joints.json beside it.
+
+    Raises FormatError.
+    """
+    folder, file_path = path.parent, path
+    if path.is_dir():
+        folder, file_path = path, path / "poses3d.npz"
+    wanted = "an npz file of 3D poses, or a folder with poses3d.npz and joints.json"
+    with refuse_damage(str(path), wanted):
+        with np.load(io.BytesIO(file_path.read_bytes()), allow_pickle=False) as file:
+            fields = {
+                _OTHER_NAMES.get(name, name): file[name] for name in file.files if name in _ARRAYS
+            }
+        names = folder / "joints.json"
+        if "joints" not in fields and names.is_file():
+            fields["joints"] = np.array(json.loads(names.read_text("utf-8"))["names"])
     if not {"poses", "joints"} <= set(fields):
         found = ", ".join(fields) or "neither"
         raise FormatError(f"{path}: expected the arrays `poses` and `joints`, found {found}")
     shape, joints = fields["poses"].shape, fields["joints"].size
     if len(shape) != 3 or shape[1:] != (joints, 3):
         raise FormatError(f"{path}: expected poses of shape (any, {joints}, 3), found {shape}")
-    return fields
-
-
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a file that are known, with the names of joints.json beside it."""
-    folder = path if path.is_dir() else path.parent
-    file_path = path / "poses3d.npz" if path.is_dir() else path
-    with np.load(io.BytesIO(file_path.read_bytes()), allow_pickle=False) as file:
-        fields = {name: file[name] for name in file.files if name in _ARRAYS}
-    names = folder / "joints.json"
-    if "joints" not in fields and names.is_file():
-        fields["joints"] = np.array(json.loads(names.read_text("utf-8"))["names"])
     return fields
 
 
@@ -171,3 +166,219 @@ def _unit_size(poses: Floats) -> Floats:
     centred = poses - np.nanmean(poses, axis=1, keepdims=True)
     radius = np.sqrt(np.nanmean((centred**2).sum(-1), axis=1))
     return centred / radius[:, None, None]
+
+
+# --- what to train on
+
+
+@dataclass(frozen=True)
+class TrainingSource:
+    """What to train on.
+
+    poses: files and folders with poses.
+    calibrated: poses3d.h5 of a run, instead; cameras.yaml beside it tells what is up, unless `up`
+        does.
+    skeleton: name or file of the vocabulary; None: people, or the joints of the run.
+    up: axis that points up (+z, -y, ...), once or for each file; none: +z.
+    procedural: share of bodies made from the skeleton's file; None: where the file tells how,
+        `TrainConfig.procedural` beside poses, all without.
+    """
+
+    poses: tuple[Path, ...] = ()
+    calibrated: Path | None = None
+    skeleton: str | None = None
+    up: tuple[str, ...] = ()
+    procedural: float | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files with poses."""
+        return self.poses if self.calibrated is None else (*self.poses, self.calibrated)
+
+    @property
+    def skeleton_name(self) -> str:
+        """The vocabulary, where the poses of a run do not bring their own."""
+        return self.skeleton or "people"
+
+    def describe(self) -> str:
+        """Return what a model card says of the data where nobody says more."""
+        return ", ".join(path.name for path in self.files) or "procedural bodies"
+
+
+def check_source(source: TrainingSource) -> None:
+    """Raise MismatchError where the parts of a source do not go together.
+
+    Raises FormatError where the skeleton's file cannot be read.
+    """
+    files = len(source.poses)
+    if source.calibrated is not None:
+        rig_file = _rig_file(source.calibrated)
+        if source.poses or source.procedural:
+            raise MismatchError("expected POSES or --procedural, or --from, found both")
+        if not source.up and not rig_file.is_file():
+            raise MismatchError(f"expected {rig_file} beside the poses, or --up, found neither")
+        return
+    if len(source.up) not in (0, 1, files):
+        raise MismatchError(
+            f"--up: expected it once, or once for each of {files} files, "
+            f"found it {len(source.up)} times"
+        )
+    has_body = bool(load_section(source.skeleton_name, "body"))
+    wants_bodies = has_body if source.procedural is None else source.procedural > 0
+    if (wants_bodies and not has_body) or not (files or wants_bodies):
+        raise MismatchError(
+            "expected POSES, or a skeleton with a section `body` to make some from, "
+            f"found neither in {source.skeleton_name}; see docs/skeletons.md"
+        )
+
+
+def load_vocabulary(source: TrainingSource) -> tuple[Skeleton, Mapping[str, Any]]:
+    """Return the joints to train for, and settings other than the defaults of TrainConfig.
+
+    Raises FormatError.
+    """
+    if source.calibrated is not None and source.skeleton is None:
+        poses = read_poses(source.calibrated, "poses-h5")
+        return own_skeleton(source.calibrated.stem, poses), OWN_SPECIES_TRAINING
+    name = source.skeleton_name
+    return load_skeleton(name), load_section(name, "training")
+
+
+def load_pose_sets(
+    source: TrainingSource, vocabulary: Skeleton, config: TrainConfig
+) -> tuple[PoseSet, PoseSet]:
+    """Return the poses to train and to test on, in the joints of the vocabulary.
+
+    Raises FormatError, DegenerateError where a run has too few poses, and MismatchError where the
+    parts of the source, or the poses and the vocabulary, do not go together.
+    """
+    check_source(source)
+    if source.calibrated is None:
+        training = _poses_of_files(source, vocabulary, config, "train")
+        return training, _poses_of_files(source, vocabulary, config, "test")
+    poses = read_poses(source.calibrated, "poses-h5")
+    if source.up:
+        up = up_direction(source.up[0])
+    else:
+        up = up_of_rig(read_rig(_rig_file(source.calibrated)))
+    return own_poses(poses, vocabulary, up, "train"), own_poses(poses, vocabulary, up, "test")
+
+
+def _rig_file(calibrated: Path) -> Path:
+    """Return the file with the cameras of a run, beside its poses."""
+    return calibrated.with_name("cameras.yaml")
+
+
+def _poses_of_files(
+    source: TrainingSource, vocabulary: Skeleton, config: TrainConfig, split: Split
+) -> PoseSet:
+    """Return the poses of the files, and bodies made from the skeleton's file, mixed.
+
+    Each file counts by the square root of its number of poses.
+    """
+    files = len(source.poses)
+    up_axes = source.up if len(source.up) == files else (source.up or ("+z",)) * files
+    sets = [
+        load_poses(path, vocabulary, split, up=up)
+        for path, up in zip(source.poses, up_axes, strict=True)
+    ]
+    sizes = np.sqrt([len(one.poses) for one in sets])
+    shares = sizes / sizes.sum()
+    body = load_section(source.skeleton_name, "body")
+    made = source.procedural
+    if made is None:
+        made = 0.0 if not body else config.procedural if sets else 1.0
+    if made:
+        seed = config.seed + (split == "test")
+        sets.append(procedural_poses(vocabulary, body, config.bodies, seed=seed))
+        shares = np.append((1 - made) * shares, made)
+    return mix(sets, shares.tolist())
+
+
+# --- poses of a calibrated recording
+
+
+def up_of_rig(rig: CameraRig) -> Floats:
+    """Return the direction `[3]` that is up if the cameras stand upright.
+
+    It is opposite to the mean of their y axes, in the axes of the rig.
+    """
+    up = -rig.rotation[:, 1].mean(0)
+    return up / np.linalg.norm(up)
+
+
+def own_poses(poses: Poses3D, skeleton: Skeleton, up: Floats, split: Split) -> PoseSet:
+    """Return the well triangulated poses of all individuals, +z up, 7:2:1 by blocks of time.
+
+    up: `[3]` the direction that is up, in the axes of the poses.
+
+    Raises DegenerateError where they are too few to learn from.
+    """
+    bodies = _well_triangulated(poses)[every_tenth(len(poses.frames), split)]
+    bodies = bodies.reshape(-1, *bodies.shape[2:])  # [pose, keypoint, 3]
+    found = match_names(poses.keypoints, skeleton)
+    joints = np.full((len(bodies), len(skeleton.keypoints), 3), np.nan)
+    joints[:, found[found >= 0]] = bodies[:, found >= 0]
+    least_joints = max(LEAST_JOINTS, int((found >= 0).sum()) // 2)
+    enough = np.isfinite(joints[..., 0]).sum(1) >= least_joints
+    count = int(enough.sum())
+    if count < OWN_SPECIES_LEAST_POSES:
+        raise DegenerateError(
+            f"expected at least {OWN_SPECIES_LEAST_POSES} whole 3D poses to {split} on, "
+            f"found {count}; record longer"
+        )
+    return PoseSet(stand_upright(joints[enough], up), np.full(count, 1.0 / count))
+
+
+def _well_triangulated(poses: Poses3D) -> Floats:
+    """Return the positions `[frame, individual, keypoint, 3]`, NaN where their error is large."""
+    largest = OWN_SPECIES_LARGEST_ERROR * _median(poses.error, axis=(0, 1, 2))
+    return np.where((poses.error <= largest)[..., None], poses.positions, np.nan)
+
+
+def own_skeleton(name: str, poses: Poses3D) -> Skeleton:
+    """Return a skeleton of the keypoints that have points, joined into a tree by what is rigid.
+
+    The bones are those that change their length least: a minimum spanning tree.
+
+    Raises DegenerateError where no pose has enough points.
+    """
+    known = np.isfinite(poses.positions[..., 0])
+    most = int(known.sum(-1).max(initial=0))
+    if most < LEAST_JOINTS:
+        raise DegenerateError(
+            f"expected poses with at least {LEAST_JOINTS} keypoints in 3D to learn from, "
+            f"found {most} at most; record longer"
+        )
+    seen = np.flatnonzero(known.any((0, 1)))
+    keypoints = [poses.keypoints[keypoint] for keypoint in seen]
+    spread, length = _lengths(poses.positions[:, :, seen])
+    spread = np.nan_to_num(spread, nan=np.nanmax(spread))
+    root = int(np.nanmean(length, axis=1).argmin())  # the most central keypoint
+    tree = spanning_tree(spread, root).tolist()
+    edges = [[keypoints[parent], keypoints[child]] for parent, child in tree]
+    return parse_skeleton({"name": name, "keypoints": keypoints, "edges": edges}, name)
+
+
+def _lengths(positions: Floats) -> tuple[Floats, Floats]:
+    """Return the spread and the typical value `[keypoint, keypoint]` of distances of keypoints.
+
+    positions: `[frame, individual, keypoint, 3]`. In sizes of the individual, by medians: some
+    points are wrong, and some individuals are children. NaN where two are never seen together.
+    """
+    count = positions.shape[2]
+    length = np.full((count, *positions.shape[:3]), np.nan)
+    for k in range(count):
+        length[k] = np.linalg.norm(positions - positions[:, :, k : k + 1], axis=-1)
+    size = _median(length, axis=(0, 1, 3))[0, 0]  # [individual, 1]
+    length = length / np.where(size > 0, size, np.nan)
+    typical = _median(length, axis=(1,))
+    spread = _median(np.abs(length - typical), axis=(1, 2))
+    return spread[:, 0, 0], _median(typical, axis=(1, 2))[:, 0, 0]
+
+
+def _median(values: Floats, axis: tuple[int, ...]) -> Floats:
+    """Return the medians of what is known along axes, which are kept; NaN where nothing is."""
+    unknown = np.isnan(values).all(axis, keepdims=True)
+    medians = np.nanmedian(np.where(unknown, 0.0, values), axis=axis, keepdims=True)
+    return np.where(unknown, np.nan, medians)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector, vector_from_matrix
-from mocap_calib.training.config import HIDDEN_LIMBS, OUTLIER_NOISE, PairsConfig, TrainConfig
+from mocap_calib.training import HIDDEN_LIMBS, OUTLIER_NOISE, PairsConfig, TrainConfig
 from mocap_calib.training.model import normalise
 from mocap_calib.training.poses import PoseSet, Split, every_tenth
 from mocap_calib.types import Floats, Ints, Skeleton

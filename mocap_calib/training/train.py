@@ -9,17 +9,16 @@ from torch import Tensor, nn
 
 from mocap_calib.errors import FormatError
 from mocap_calib.lift.lifter import ModelConfig
-from mocap_calib.training.config import (
+from mocap_calib.training import (
     EVALUATION_EXAMPLES,
     EVALUATION_SEED,
     LARGEST_GRADIENT,
     UNCERTAINTY_WEIGHT,
     WARM_UP,
     PairsConfig,
-    TokenConfig,
     TrainConfig,
 )
-from mocap_calib.training.model import LifterModule, Model, TokenSteerer, steer
+from mocap_calib.training.model import LifterModule, Model, TokenConfig, TokenSteerer, steer
 from mocap_calib.training.poses import PoseSet
 from mocap_calib.training.synthesis import Batch, PairSynthesiser, Synthesiser
 from mocap_calib.types import Progress, Skeleton

@@ -23,7 +23,7 @@ from mocap_calib.synthetic.procedural import (
     sample_bones,
     sample_turns,
 )
-from mocap_calib.training.config import TrainConfig
+from mocap_calib.training import TrainConfig
 from mocap_calib.training.model import LifterModule
 from mocap_calib.training.poses import PoseSet, load_poses, mix, procedural_poses
 from mocap_calib.training.synthesis import Synthesiser

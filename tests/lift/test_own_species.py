@@ -14,9 +14,9 @@ from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.paper.solver import PaperConfig, PaperPairs
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.results import Poses3D
-from mocap_calib.training.config import OWN_SPECIES_TRAINING
+from mocap_calib.training import OWN_SPECIES_TRAINING
 from mocap_calib.training.model import module_of
-from mocap_calib.training.sources import (
+from mocap_calib.training.poses import (
     TrainingSource,
     load_vocabulary,
     own_poses,

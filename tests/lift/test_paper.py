@@ -36,9 +36,10 @@ from mocap_calib.paper.solver import (
 )
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.synthetic import people
-from mocap_calib.training.config import PairsConfig, TokenConfig, TrainConfig
+from mocap_calib.training import PairsConfig, TrainConfig
 from mocap_calib.training.model import (
     LifterModule,
+    TokenConfig,
     TokenSteerer,
     load_steerer,
     matrix_from_vector,

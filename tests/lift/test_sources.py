@@ -8,8 +8,8 @@ import pytest
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.training.config import TrainConfig
-from mocap_calib.training.sources import TrainingSource, check_source, load_pose_sets
+from mocap_calib.training import TrainConfig
+from mocap_calib.training.poses import TrainingSource, check_source, load_pose_sets
 
 SMALL = TrainConfig(bodies=30)
 

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib.config import ENCODER_HEADS
-from mocap_calib.training.config import PairsConfig, TokenConfig, TrainConfig
+from mocap_calib.training import PairsConfig, TrainConfig
 from mocap_calib_cli import options, values
 from mocap_calib_cli.numbers import COUNT, POSITIVE, SHARE, WholeNumber
 
 if TYPE_CHECKING:
     from mocap_calib.training.model import Model
-    from mocap_calib.training.poses import PoseSet
-    from mocap_calib.training.sources import TrainingSource
+    from mocap_calib.training.poses import PoseSet, TrainingSource
     from mocap_calib.types import Progress, Skeleton
 
 _DEFAULT = TrainConfig()
@@ -115,9 +114,9 @@ def command(
       mocap-calib train --skeleton quadruped -o quadruped.safetensors --steps 4000
       mocap-calib train --from out/poses3d.h5 -o beetle.safetensors --steps 2000
     """
-    from mocap_calib.training.device import check_device, torch_threads
-    from mocap_calib.training.model import save_model
-    from mocap_calib.training.sources import TrainingSource, load_pose_sets, load_vocabulary
+    from mocap_calib.training import check_device, torch_threads
+    from mocap_calib.training.model import TokenConfig, save_model
+    from mocap_calib.training.poses import TrainingSource, load_pose_sets, load_vocabulary
     from mocap_calib.training.train import model_card, training_config
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
@@ -159,7 +158,7 @@ def command(
 def _check_source(source: "TrainingSource") -> None:
     """Raise click's UsageError where what was typed does not go together."""
     from mocap_calib.errors import MismatchError
-    from mocap_calib.training.sources import check_source
+    from mocap_calib.training.poses import check_source
 
     try:
         check_source(source)
