@@ -239,20 +239,20 @@ class KnownPoints:
     """Points that some cameras place, and where all cameras saw them.
 
     points: `[N, 3]` in the world of the rig, NaN = not known. pixels: `[view, N, 2]`, NaN = not
-    seen. block: `[N]` the stretch of time of each. keypoint: `[N]` its joint.
+    seen.
     """
 
     points: Floats
     pixels: Floats
-    block: Ints
-    keypoint: Ints
 
-    def seen_by(self, view: int, most: int) -> Seen:
-        """Return what one view (index) saw of them, at most so many, evenly spread."""
+    def seen_by(self, view: int, most: int) -> tuple[Floats, Floats]:
+        """Return the points `[n, 3]` that one view (index) saw, and the pixels `[n, 2]`.
+
+        At most so many, evenly spread.
+        """
         both = np.isfinite(self.points[:, 0]) & np.isfinite(self.pixels[view, :, 0])
         index = evenly_spaced(np.flatnonzero(both), most)
-        whole = Seen(self.points, self.pixels[view], self.block, self.keypoint)
-        return whole.select(index)
+        return self.points[index], self.pixels[view, index]
 
 
 def place_points(sample: Sample, placed: PlacedCameras, views: Ints, config: Config) -> KnownPoints:
@@ -268,40 +268,14 @@ def place_points(sample: Sample, placed: PlacedCameras, views: Ints, config: Con
         noise=placed.noise,
         config=replace(config.triangulate, outlier=config.adjust.outlier),
     )
-    keypoints, blocks = len(sample.keypoints), config.uncertainty.time_blocks
-    rank = np.arange(len(frames)) * blocks // max(len(frames), 1)
-    return KnownPoints(
-        points=points.T,
-        pixels=np.moveaxis(seen.pixels, 1, 2),
-        block=np.repeat(rank, points.shape[1] // max(len(frames), 1)),
-        keypoint=np.tile(np.arange(keypoints), points.shape[1] // keypoints),
-    )
-
-
-def refit_camera(
-    seen: Seen, rig: CameraRig, view: int, *, noise: float, config: Config
-) -> tuple[CameraFit, CameraFit]:
-    """Return where a camera stands, and the same with its focal length free.
-
-    seen: what the view (index) saw of known points. rig: the search begins where it has the
-        camera. noise: of the view, in radians.
-    """
-    camera = rig.cameras[view]
-    start = CameraPose(rig.rotation[view], rig.translation[view])
-    sigma = noise * camera.focal
-    plain = fit_camera(camera, seen, start, config.diagnosis.fit, noise=sigma)
-    free = fit_camera(
-        camera, seen, plain.pose, config.diagnosis.fit, noise=sigma, free=("log_focal",)
-    )
-    return plain, free
+    return KnownPoints(points.T, np.moveaxis(seen.pixels, 1, 2))
 
 
 def typical_error(known: KnownPoints, rig: CameraRig, view: int, config: Config) -> float:
     """Return the median reprojection error of a view in pixels, NaN where it saw nothing."""
-    seen = known.seen_by(view, config.diagnosis.keypoints)
-    if not len(seen.points):
+    points, pixels = known.seen_by(view, config.diagnosis.keypoints)
+    if not len(points):
         return float("nan")
-    in_camera = seen.points @ rig.rotation[view].T + rig.translation[view]
-    found = lens.pixels_from_points(rig.cameras[view], in_camera)
-    error = np.linalg.norm(found - seen.pixels, axis=1)
+    in_camera = points @ rig.rotation[view].T + rig.translation[view]
+    error = np.linalg.norm(lens.pixels_from_points(rig.cameras[view], in_camera) - pixels, axis=1)
     return float(np.median(np.nan_to_num(error, nan=np.inf)))

@@ -134,30 +134,6 @@ def lack_of_score(look: Look) -> Floats:
     return OPEN_DEG * np.clip(1 - score / look.config.averaging.weak_score, 0.0, 1.0)
 
 
-def lenses(look: Look) -> Floats:
-    """Return by how much `[view]` errors grow towards the edge of the image, where certain.
-
-    Along the cube of the radius, as a wrong lens makes them; less two standard deviations, from how
-    the sums of stretches of time and of joints scatter.
-    """
-    found = np.full(len(look.group.rig.cameras), np.nan)
-    blocks = look.config.uncertainty.time_blocks
-    for view, camera in enumerate(look.group.rig.cameras):
-        distance = look.left.distance[view]
-        if not np.isfinite(distance).any():
-            continue
-        arm = (look.left.pixels[view] - camera.matrix[:2, 2, None, None, None]) / camera.focal
-        square = (arm**2).sum(0)
-        weight = 1 / (1 + (distance / (2 * np.nanmedian(distance))) ** 2)
-        pull = weight * (look.left.gap[view] / camera.focal * arm).sum(0) * square
-        in_time = [np.nansum(part) for part in np.array_split(pull, blocks)]
-        of_joint = np.nansum(pull, axis=(0, 1))
-        scatter = np.sqrt(np.square(in_time).sum() + np.square(of_joint).sum())
-        slope = max(0.0, abs(np.nansum(pull)) - 2 * scatter) / np.nansum(weight * square**3)
-        found[view] = np.rad2deg(slope * np.nanmax(square) ** 1.5)
-    return found
-
-
 def over_time(look: Look) -> Floats:
     """Return by how much `[view]` detections are beside the points, all to one side, for a while.
 
@@ -272,14 +248,6 @@ CHECKS = (
         "{camera}: its bodies do not look like those of any other camera",
         "check that its file belongs to this recording",
         lack_of_score,
-    ),
-    CheckKind(
-        "lens",
-        "by how much errors certainly grow towards the edge of the image, along the cube of the "
-        "radius",
-        "{camera}: errors grow by {value:.1f} deg towards the edge of the image",
-        "its lens may be another than given: calibrate it, or run again with --refine focal+k1",
-        lenses,
     ),
     CheckKind(
         "over time",

@@ -1,17 +1,28 @@
-"""Compare a rig with a reference."""
+"""Compare a rig with a reference, or with a rig that was adjusted anew.
 
+The calibration and the adjusted rig differ by a similarity, which means nothing, by what the
+keypoints leave open, which the covariance of the adjustment has, by what models of lenses and
+detectors do not know, which all cameras share, and where a camera was moved. Cameras are set free
+one after the other until the rest agree: a camera was moved where the rest agree so much better
+without it that chance does not explain it (Fisher's ratio of variances).
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtrc, fdtrc
 
-from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG
+from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG, VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.alignment import align_by_similarity
-from mocap_calib.geometry.rotation import angle_between, direction_angle
+from mocap_calib.geometry.alignment import align_by_similarity, gauge_of, rig_size
+from mocap_calib.geometry.rotation import angle_between, direction_angle, vector_from_matrix
 from mocap_calib.records import Record
-from mocap_calib.types import CameraRig, Floats, Views
+from mocap_calib.results import RigCovariance
+from mocap_calib.types import POSE, Bools, CameraRig, Floats, Views
 
 # Points on the cameras' axes take part in the alignment, so near to the centres (in spreads of the
 # centres) that they decide only what the centres leave open.
@@ -43,8 +54,10 @@ class Evaluation(Record):
     unit: str
 
     def __repr__(self) -> str:
-        rotation = _median_and_max_text(np.degrees(self.rotation_error))
-        translation = _median_and_max_text(np.degrees(self.translation_error))
+        rotation, translation = (
+            f"{np.median(degrees):.2f} / {degrees.max():.2f}"
+            for degrees in np.degrees([self.rotation_error, self.translation_error])
+        )
         missing = f", missing: {', '.join(self.missing)}" if self.missing else ""
         return (
             f"Evaluation({len(self.pairs)} pairs, median / max: rotation {rotation} deg, "
@@ -111,16 +124,11 @@ def _pair_error(rig: CameraRig, reference: CameraRig, a: str, b: str) -> tuple[f
     """
     if not {a, b} <= set(rig.names):
         return np.pi, np.pi
-    rotation, translation = _relative_named(rig, a, b)
-    true_rotation, true_translation = _relative_named(reference, a, b)
+    rotation, translation = rig.select((a, b)).relative(0, 1)
+    true_rotation, true_translation = reference.select((a, b)).relative(0, 1)
     rotation_error = angle_between(rotation, true_rotation)
     translation_error = direction_angle(translation, true_translation)
     return float(rotation_error), float(translation_error)
-
-
-def _relative_named(rig: CameraRig, a: str, b: str) -> tuple[Floats, Floats]:
-    """Return R `[3, 3]` and t `[3]` of b_from_a, for the cameras named a and b."""
-    return rig.relative(rig.names.index(a), rig.names.index(b))
 
 
 def accuracy(error: Floats, degrees: float) -> float:
@@ -143,8 +151,12 @@ def area_under_curve(rotation_error: Floats, translation_error: Floats, degrees:
 def evaluation_to_dict(evaluation: Evaluation) -> dict[str, Any]:
     """Return the figures under the keys of `mocap-calib evaluate --json`; angles in degrees."""
     rotation, translation = evaluation.rotation_error, evaluation.translation_error
+    degrees = (np.degrees(each).tolist() for each in (rotation, translation))
     return {
-        "pairs": _pairs_to_list(evaluation),
+        "pairs": [
+            {"a": a, "b": b, "rotation_error_deg": turn, "translation_error_deg": direction}
+            for (a, b), turn, direction in zip(evaluation.pairs, *degrees, strict=True)
+        ],
         "rotation_error_deg": median_and_max(np.degrees(rotation)),
         "translation_error_deg": median_and_max(np.degrees(translation)),
         "rra": {str(t): accuracy(rotation, t) for t in RIG_ERROR_THRESHOLDS_DEG},
@@ -160,21 +172,146 @@ def evaluation_to_dict(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def _pairs_to_list(evaluation: Evaluation) -> list[dict[str, Any]]:
-    """Return the errors of each pair in degrees."""
-    rotation = np.degrees(evaluation.rotation_error).tolist()
-    translation = np.degrees(evaluation.translation_error).tolist()
-    return [
-        {"a": a, "b": b, "rotation_error_deg": turn, "translation_error_deg": direction}
-        for (a, b), turn, direction in zip(evaluation.pairs, rotation, translation, strict=True)
-    ]
-
-
-def _median_and_max_text(values: Floats) -> str:
-    """Return the median and the maximum of values `[N]` as `0.12 / 0.34`."""
-    return f"{np.median(values):.2f} / {values.max():.2f}"
-
-
 def median_and_max(values: Floats) -> dict[str, float]:
     """Return the median and the maximum of values `[N]`."""
     return {"median": float(np.median(values)), "max": float(np.max(values))}
+
+
+# --- which cameras differ
+
+
+@dataclass(frozen=True)
+class RigChange:
+    """How a rig that was adjusted anew differs from the calibration that was given.
+
+    moved: `[view]` cameras that are elsewhere than the others have them. Of two cameras it is not
+        known which one moved: both or none.
+    size, sigma: `[view, 2]` turn (radians) and shift (rig sizes) by which a camera is elsewhere, if
+        it and the moved ones alone may, and their RMS errors. Shifts are NaN where a single other
+        camera is left: two are aligned at any distance.
+    difference: `[view]` radians between the rotations of both rigs, those of the cameras that
+        stayed being aligned. It has all that the keypoints leave open.
+    refitted: the rig that was adjusted, in the coordinates and the unit of the given one.
+    """
+
+    moved: Bools
+    size: Floats
+    sigma: Floats
+    difference: Floats
+    refitted: CameraRig
+
+
+def find_changes(
+    given: CameraRig,
+    adjusted: CameraRig,
+    covariances: tuple[RigCovariance, RigCovariance],
+    config: Config,
+) -> RigChange:
+    """Return which cameras moved between two rigs of the same cameras, and by how much.
+
+    covariances: of the adjusted rig, as of `cautious_covariances`. That of independent errors has
+        the shape which says best what the images show, the other one the size that errors have.
+    """
+    views, size = range(len(given)), POSE * len(given)
+    real, independent = (each.matrix.reshape(size, size) for each in covariances)
+    excess = max(1.0, np.trace(real) / np.trace(independent))
+    shared = np.deg2rad(config.verify.least_error_deg) ** 2 * np.eye(size)
+    moves = partial(_find_moves, given, adjusted, excess * independent + shared)
+    moved = _find_moved(moves, len(given), config)
+    refitted = lay_over(adjusted, given, np.setdiff1d(views, moved))
+    difference = angle_between(given.rotation, refitted.rotation)
+    if np.rad2deg(np.delete(difference, moved).max()) > VERDICT_LIMITS_DEG[2]:
+        moved, refitted = [], lay_over(adjusted, given, views)  # another rig: no camera of it moved
+        difference = angle_between(given.rotation, refitted.rotation)
+    rest, is_moved = moves(moved), np.isin(views, moved)
+    if len(given) == 2:
+        difference = np.full(2, angle_between(given.relative(0, 1)[0], adjusted.relative(0, 1)[0]))
+        chance = chdtrc(rest.degrees, rest.cost / config.verify.pair_disagreement)
+        large = np.rad2deg(difference) > VERDICT_LIMITS_DEG[0]
+        is_moved = large & (chance < config.verify.significance)
+    alone = [moves([*(each for each in moved if each != view), view]) for view in views]
+    return RigChange(
+        moved=is_moved,
+        size=np.array([each.size[-1] for each in alone]),
+        sigma=np.array([each.sigma[-1] for each in alone]),
+        difference=difference,
+        refitted=refitted,
+    )
+
+
+@dataclass(frozen=True)
+class _Moves:
+    """How some cameras moved between two rigs, as the others have them.
+
+    cost: squared Mahalanobis distance of the others, and degrees: its degrees of freedom.
+    size, sigma: `[camera, 2]` as of `RigChange`. chance: `[camera]` how likely one that was not
+    moved would differ as much, by Fisher's ratio of variances.
+    """
+
+    cost: float
+    degrees: int
+    size: Floats
+    sigma: Floats
+    chance: Floats
+
+
+def _find_moves(
+    given: CameraRig, adjusted: CameraRig, covariance: Floats, free: Sequence[int]
+) -> _Moves:
+    """Return how some views (indices) moved, by generalised least squares.
+
+    covariance: `[6 view, 6 view]` of the difference of the rigs. Where a single other view is left,
+    the last one shows as well how the rigs lie to each other.
+    """
+    rest = np.setdiff1d(range(len(given)), free)
+    before = lay_over(given, adjusted, rest if len(rest) > 1 else np.append(rest, free[-1]))
+    turn = vector_from_matrix(np.swapaxes(adjusted.rotation, 1, 2) @ before.rotation)
+    shift = (before.centres - adjusted.centres) / rig_size(adjusted)
+    difference = np.concatenate([turn, shift], axis=1).ravel()
+    size = len(difference)
+    own = np.eye(size).reshape(size, -1, POSE)[:, list(free)].reshape(size, -1)
+    gauge = gauge_of(adjusted).reshape(size, -1)
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    design = whiten @ np.concatenate([own, gauge], axis=1)
+    inverse = np.linalg.pinv(design)
+    found = inverse @ whiten @ difference
+    cost = float(np.square(whiten @ difference - design @ found).sum())
+    degrees = size - design.shape[1]
+    # the errors hold also where the others disagree by more than they should
+    excess = max(1.0, cost / max(degrees, 1))
+    move, by_camera = found[: own.shape[1]].reshape(-1, POSE), inverse[: own.shape[1]]
+    by_camera = by_camera.reshape(-1, POSE, size)
+    errors = excess * by_camera @ by_camera.swapaxes(1, 2)
+    ratio = np.einsum("ci,cij,cj->c", move, np.linalg.pinv(errors, hermitian=True), move)
+    variance = np.einsum("cii->ci", errors)
+    unknown = [1.0, np.nan if len(rest) < 2 else 1.0]
+    return _Moves(
+        cost=cost,
+        degrees=degrees,
+        size=np.linalg.norm(move.reshape(-1, 2, 3), axis=2) * unknown,
+        sigma=np.sqrt(variance.reshape(-1, 2, 3).sum(2)) * unknown,
+        chance=np.asarray(fdtrc(POSE, degrees, ratio / POSE)),
+    )
+
+
+def _find_moved(moves: Callable[[Sequence[int]], _Moves], views: int, config: Config) -> list[int]:
+    """Return the views that certainly moved, and by enough to matter; of two cameras none.
+
+    Those that explain most of the difference are set free, one after the other, until half of the
+    cameras, and two, are left: if more moved it is another rig. Then the least certain one is put
+    back until all are certain.
+
+    moves: of some views (indices). views: how many there are.
+    """
+    free = list[int]()
+    while len(free) < min((views - 1) // 2, views - 2):
+        rest = np.setdiff1d(range(views), free).tolist()
+        free.append(min(rest, key=lambda view: moves([*free, view]).cost))
+    while free:
+        found = moves(free)
+        small = found.size.max(1) < np.deg2rad(config.verify.least_turn_deg)
+        chance = np.where(small, 1.0, found.chance)
+        if chance.max() * views < config.verify.significance:
+            break
+        del free[int(chance.argmax())]
+    return free

@@ -288,8 +288,6 @@ def _remedy(group: GroupResult, worst: int, config: Config) -> str:
     if len(partners) == 1 and _face(group, worst, int(partners[0])):
         names = f"{group.rig.names[worst]} and {group.rig.names[partners[0]]}"
         return f"{names} face each other, and no third camera sees what both do: add one between"
-    if _stands_still(group):
-        return "let the subject walk about and turn: it barely moves"
     return "let the subject walk about, nearer to it and in view of other cameras, for longer"
 
 
@@ -307,21 +305,3 @@ def _face(group: GroupResult, first: int, second: int) -> bool:
     """Return whether two views (indices) look at each other."""
     axes = group.rig.rotation[:, 2]
     return bool(axes[first] @ axes[second] < np.cos(np.deg2rad(_FACING_DEG)))
-
-
-def _stands_still(group: GroupResult) -> bool:
-    """Return whether bodies move by less than their own size in all images."""
-    positions, labels = group.recording.positions, group.matches.labels
-    frames = report_frames(group.recording)
-    moves: list[float] = []
-    for seen, label in zip(positions, labels, strict=True):
-        for individual in range(group.matches.individuals):
-            frame, instance = np.nonzero(label[frames] == individual)
-            bodies = np.asarray(seen[frames[frame], instance], dtype=np.float64)
-            if len(bodies) < 2:
-                continue
-            middle = np.nanmedian(bodies, axis=1)
-            size = np.nanmedian(np.linalg.norm(bodies - middle[:, None], axis=-1))
-            way = np.median(np.linalg.norm(middle - np.median(middle, axis=0), axis=-1))
-            moves.append(float(way / size))
-    return bool(moves) and max(moves) < 1

@@ -4,20 +4,15 @@ Match by the given rig -> search for the cameras that match nothing -> adjust fr
 compare the two rigs -> refit the cameras that moved, in the given coordinates.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import (
-    CameraFit,
-    CameraPose,
-    place_points,
-    refit_camera,
-    typical_error,
-)
+from mocap_calib.adjust.camera_fit import CameraPose, KnownPoints, place_points, typical_error
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.resection import find_lost_camera
 from mocap_calib.adjust.rig_covariance import cautious_covariances, covariance_of, fit_again
@@ -26,8 +21,7 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.alignment import rig_size
-from mocap_calib.geometry.lens import change_intrinsics
-from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.geometry.lens import change_intrinsics, pixels_from_points
 from mocap_calib.io.provenance import judgement, round_sigma
 from mocap_calib.lift.lift import RememberedLift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
@@ -36,10 +30,13 @@ from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
 from mocap_calib.results import (
     Adjusted,
+    Cause,
     Clocks,
     LiftedPoses,
     Matches,
     PlaceWord,
+    RigCovariance,
+    Verdict,
     Verification,
     VerifiedCamera,
 )
@@ -52,20 +49,27 @@ from mocap_calib.types import (
     Bools,
     Camera,
     CameraRig,
-    Floats,
     Ints,
     Progress,
     Recording,
     Sample,
     silent,
 )
-from mocap_calib.verdict.rig_changes import (
-    RigChange,
-    assess_calibration,
-    describe_refits,
-    explain_cameras,
-    find_changes,
-)
+from mocap_calib.verdict.checks import OPEN_DEG
+from mocap_calib.verdict.evaluation import RigChange, find_changes
+from mocap_calib.verdict.verdict import expected_error
+
+Names = tuple[str, ...]
+
+_CALIBRATE = "calibrate anew: `mocap-calib run`"
+_RECORD = "record longer, with subjects that move through the room"
+# what to say of a camera by its word; {move}, {change} and {camera} are filled in
+_REASONS = {
+    "moved": "{camera} {move}: put it back, or " + _CALIBRATE,
+    "focal": "{camera}: its focal length is {change} than given (zoom, or images of another size): "
+    "correct its intrinsics, or " + _CALIBRATE,
+    "not checked": "{camera}: sees too little with the others to be checked",
+}
 
 
 def verify(
@@ -118,16 +122,18 @@ def verify_rig(
     progress: Progress,
 ) -> Verification:
     """Return how far a rig agrees with a sample of a recording. Raises as `verify` does."""
-    enough = _have_detections(sample, config)
+    sees = sample.detected.any(2)
+    with_others = sample.detected.sum(2) * (sees.sum(0) - sees >= 2)
+    enough = with_others.sum(1) >= config.moved.least_detections  # [view] may be placed by others
     views, adjusted = _adjust_from(sample, lifted, rig, enough, config, progress=progress)
     part, given = sample.select(views=views), rig.select(views)
     fitted = fit_again(part, adjusted.rig, adjusted.matches, config)
-    change = find_changes(given, adjusted.rig, cautious_covariances(fitted, config), config)
     covariance = covariance_of(fitted, config)
+    change = find_changes(given, adjusted.rig, cautious_covariances(fitted, config), config)
     placed = PlacedCameras.of(part, adjusted.rig, adjusted.matches, config)
     placed = replace(placed, rig=given)
-    mended = _refit(part, placed, change, config)
-    checked = {each.name: each for each in _compare(part, placed, mended, change, config)}
+    refitted = _refit(part, placed, change, config)
+    checked = {each.name: each for each in _compare(part, placed, refitted, change, config)}
     # cameras that contradict each other do not show that another one is inconsistent
     known = sum(camera.word != "not checked" for camera in checked.values()) >= 2
     cameras = tuple(
@@ -135,41 +141,21 @@ def verify_rig(
         or VerifiedCamera(name, "inconsistent" if known and seen else "not checked")
         for name, seen in zip(rig.names, enough.tolist(), strict=True)
     )
-    verdict = assess_calibration(cameras, change, covariance, given.names, config)
-    errors = [camera.refitted_px for camera in checked.values() if camera.refitted_px < np.inf]
-    said = judgement(
-        verdict.word,
-        [*describe_refits(cameras), *verdict.reasons],
-        float(np.mean(errors)) if errors else None,
-        rotation_sigma_deg=_by_name(given, np.rad2deg(covariance.rotation_sigma)),
-        centre_sigma_percent=_by_name(given, 100 * covariance.centre_sigma),
-    )
+    verdict = assess_calibration(cameras, change, covariance, given.names)
     for place, view in enumerate(views.tolist()):
-        pose = CameraPose(mended.rotation[place], mended.translation[place])
-        rig = _with_camera(rig, view, mended.cameras[place], pose)
+        pose = CameraPose(refitted.rotation[place], refitted.translation[place])
+        rig = _with_camera(rig, view, refitted.cameras[place], pose)
     return Verification(
         cameras=cameras,
         verdict=verdict.word,
         reasons=(*explain_cameras(cameras), *verdict.reasons),
         rig=rig,
         clocks=Clocks.of_one(sample),
-        provenance=said,
+        provenance=_provenance(cameras, verdict, given.names, covariance),
     )
 
 
-def _by_name(rig: CameraRig, values: Floats) -> dict[str, float]:
-    """Return standard deviations `[view]` by the names of the cameras, as files have them."""
-    return {name: round_sigma(value) for name, value in zip(rig.names, values, strict=True)}
-
-
 # --- the rig as the keypoints have it
-
-
-def _have_detections(sample: Sample, config: Config) -> Bools:
-    """Return the views `[view]` with enough detections, in frames of two others, to be placed."""
-    sees = sample.detected.any(2)
-    with_others = sample.detected.sum(2) * (sees.sum(0) - sees >= 2)
-    return np.asarray(with_others.sum(1) >= config.moved.least_detections)
 
 
 def _adjust_from(
@@ -214,8 +200,8 @@ def _find_lost_cameras(
     Lost are those of whose detections far fewer match than is usual.
     """
     share = matched_share(sample, matches)
-    usual = [np.median(np.delete(share, view)) for view in range(len(share))]
-    lost = share < config.verify.least_matched * np.array(usual)
+    usual = np.array([np.median(np.delete(share, view)) for view in range(len(share))])
+    lost = share < config.verify.least_matched * usual
     if not lost.any() or (~lost).sum() < 2:
         return rig, np.arange(len(rig))
     labels = np.where(lost[:, None, None], -1, matches.labels)
@@ -231,50 +217,42 @@ def _find_lost_cameras(
 
 
 def _refit(sample: Sample, placed: PlacedCameras, change: RigChange, config: Config) -> CameraRig:
-    """Return the given rig with the moved cameras where they are now, by the others as given.
+    """Return the given rig with the moved cameras where they are now.
 
-    With another focal length where that explains the move. Of two cameras it is not known where
-    they are.
+    They are where the adjustment has them, or where they were given with another focal length, if
+    their images fit that as well. Of two cameras it is not known where they are.
     """
-    rig, in_place = placed.rig, np.flatnonzero(~change.moved)
-    if not change.moved.any() or len(in_place) < 2:
-        return rig
-    known = place_points(sample, placed, in_place, config)
-    for view in np.flatnonzero(change.moved).tolist():
-        noise = float(placed.noise[view])
-        seen = known.seen_by(view, config.diagnosis.keypoints)
-        if len(seen.points) < config.adjust.least_keypoints:
-            continue
-        plain, free = refit_camera(seen, change.refitted, view, noise=noise, config=config)
-        focal = _is_focal(plain, free, placed.rig, view, config)
-        log_focal = float(free.unknowns[0]) if focal else 0.0
-        camera = change_intrinsics(rig.cameras[view], log_focal=log_focal, k1=0.0)
-        start = CameraPose(change.refitted.rotation[view], change.refitted.translation[view])
-        pose = (free if focal else plain).pose
-        turn = np.rad2deg(angle_between(pose.rotation, start.rotation))
-        # a telescope sees the same from the opposite side (Necker's cube): the rig of all does not
-        pose = pose if turn < VERDICT_LIMITS_DEG[2] else start
-        rig = _with_camera(rig, view, camera, pose)
+    given, moved = placed.rig, np.flatnonzero(change.moved)
+    if not len(moved) or len(given) == 2:
+        return given
+    rig, now = given, change.refitted
+    known = place_points(sample, placed, np.flatnonzero(~change.moved), config)
+    for view in moved.tolist():
+        there = CameraPose(now.rotation[view], now.translation[view])
+        here = CameraPose(given.rotation[view], given.translation[view])
+        elsewhere = _with_camera(rig, view, given.cameras[view], there)
+        zoomed = _with_camera(rig, view, _zoomed(known, given, view, config), here)
+        error, other = (typical_error(known, each, view, config) for each in (elsewhere, zoomed))
+        rig = zoomed if other <= config.uncertainty.same_misfit * error else elsewhere
     return rig
 
 
-def _is_focal(
-    plain: CameraFit, free: CameraFit, given: CameraRig, view: int, config: Config
-) -> bool:
-    """Return whether another focal length explains what looks like a move."""
-    settings = config.uncertainty
-    uncertain = np.hypot(np.sqrt(free.covariance[0, 0]), settings.focal_systematic / 2)
-    certain = abs(free.unknowns[0]) > settings.focal_significance * uncertain
-    turns, shifts = zip(*(_move_of(fit.pose, given, view) for fit in (free, plain)), strict=True)
-    distance = np.hypot(turns, np.array(shifts) / rig_size(given))
-    return bool(certain and distance[0] < distance[1] / 2)
+def _zoomed(known: KnownPoints, rig: CameraRig, view: int, config: Config) -> Camera:
+    """Return the camera with the focal length that fits known points best where the camera is.
 
-
-def _move_of(pose: CameraPose, given: CameraRig, view: int) -> tuple[float, float]:
-    """Return the turn in radians and the shift in the unit of the rig."""
-    centre = -pose.rotation.T @ pose.translation
-    shift = float(np.linalg.norm(centre - given.centres[view]))
-    return float(angle_between(pose.rotation, given.rotation[view])), shift
+    By how much farther from the principal point they are in the image: the median of the outer
+    half, of which the errors matter least.
+    """
+    points, pixels = known.seen_by(view, config.diagnosis.keypoints)
+    camera, in_camera = rig.cameras[view], points @ rig.rotation[view].T + rig.translation[view]
+    middle = camera.matrix[:2, 2]
+    expected, found = pixels_from_points(camera, in_camera) - middle, pixels - middle
+    square = np.nan_to_num((expected**2).sum(1))
+    if not square.any():
+        return camera
+    outer = square >= np.median(square[square > 0])
+    factor = np.median(np.abs((expected * found).sum(1)[outer] / square[outer]))
+    return change_intrinsics(camera, log_focal=float(np.log(factor)), k1=0.0)
 
 
 def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: CameraPose) -> CameraRig:
@@ -285,45 +263,156 @@ def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: CameraPose) ->
     return replace(rig, cameras=cameras, rotation=rotation, translation=translation)
 
 
-# --- records
-
-
 def _compare(
-    sample: Sample,
-    placed: PlacedCameras,
-    mended: CameraRig,
-    change: RigChange,
-    config: Config,
-) -> Iterator[VerifiedCamera]:
-    """Yield how each camera of the adjusted rig differs from the given one."""
-    given = placed.rig
-    size, views = rig_size(given), np.arange(len(given))
-    focal = [
-        float(np.log(now.focal / before.focal))
-        for now, before in zip(mended.cameras, given.cameras, strict=True)
-    ]
+    sample: Sample, placed: PlacedCameras, refitted: CameraRig, change: RigChange, config: Config
+) -> list[VerifiedCamera]:
+    """Return how each camera of the adjusted rig differs from the given one."""
+    given, views, cameras = placed.rig, np.arange(len(placed.rig)), []
+    size = rig_size(given)
+    determined = np.rad2deg(change.sigma[:, 0]) < VERDICT_LIMITS_DEG[2]
     for view, name in enumerate(given.names):
         others = views[views != view] if len(views) > 2 else views
-        known = place_points(sample, replace(placed, rig=mended), others, config)
-        (turn, shift), (turn_sigma, shift_sigma) = (
-            each[view].tolist() for each in (change.size, change.sigma)
-        )
-        shift *= size
-        if change.moved[view] and (~change.moved).sum() >= 2:
-            pose = CameraPose(mended.rotation[view], mended.translation[view])
-            turn, shift = _move_of(pose, given, view)
-        moved: PlaceWord = "focal" if focal[view] else "moved"
-        told = np.rad2deg(turn_sigma) < VERDICT_LIMITS_DEG[2]
-        stays: PlaceWord = "in place" if told else "not checked"
-        yield VerifiedCamera(
+        known = place_points(sample, replace(placed, rig=refitted), others, config)
+        focal = float(np.log(refitted.cameras[view].focal / given.cameras[view].focal))
+        word: PlaceWord = "in place" if determined[view] else "not checked"
+        if change.moved[view]:
+            word = "focal" if focal else "moved"
+        (turn, shift), (turn_sigma, shift_sigma) = (change.size[view], change.sigma[view])
+        camera = VerifiedCamera(
             name=name,
-            word=moved if change.moved[view] else stays,
-            turn=turn,
-            turn_sigma=turn_sigma,
-            shift=shift,
-            shift_sigma=shift_sigma * size,
-            relative_shift=shift / size,
-            focal_change=focal[view],
+            word=word,
+            turn=float(turn),
+            turn_sigma=float(turn_sigma),
+            shift=float(shift * size),
+            shift_sigma=float(shift_sigma * size),
+            relative_shift=float(shift),
+            focal_change=focal,
             error_px=typical_error(known, given, view, config),
-            refitted_px=typical_error(known, mended, view, config),
+            refitted_px=typical_error(known, refitted, view, config),
         )
+        cameras.append(camera)
+    return cameras
+
+
+# --- verdict and words
+
+
+def assess_calibration(
+    cameras: Sequence[VerifiedCamera], change: RigChange, covariance: RigCovariance, names: Names
+) -> Verdict:
+    """Return the verdict on a calibration with the moved cameras where they are now.
+
+    Each camera is as uncertain as the keypoints leave it, and as far off as they have it elsewhere.
+    names: of the views of the change and of the covariance.
+    """
+    uncertain = np.rad2deg(covariance.rotation_sigma)
+    refitted = change.moved & (len(names) > 2)  # of two it is not known where they are now
+    apart = np.where(refitted, 0.0, np.rad2deg(change.difference))
+    # keypoints that determine nothing give no better calibration
+    remedy = _CALIBRATE if uncertain.max() <= VERDICT_LIMITS_DEG[1] else _RECORD
+    causes = []
+    for view, name in enumerate(names):
+        meaning = f"{name}: the keypoints determine its rotation to +-{uncertain[view]:.1f} deg"
+        causes.append(Cause("covariance", name, float(uncertain[view]), meaning, _RECORD))
+        meaning = f"{name}: {apart[view]:.1f} deg from where the keypoints have it"
+        causes.append(Cause("difference", name, float(apart[view]), meaning, remedy))
+    for camera in cameras:
+        if camera.word == "inconsistent":
+            meaning = f"{camera.name}: nothing that it sees agrees with the others, at any pose"
+            causes.append(Cause(camera.word, "", OPEN_DEG, meaning, "check its files and clock"))
+    causes.sort(key=lambda cause: -cause.error_deg)
+    return Verdict(expected_error(names, causes), tuple(causes))
+
+
+def explain_cameras(cameras: Sequence[VerifiedCamera]) -> list[str]:
+    """Return a line for each camera that moved or was not checked, and what to do about it."""
+    if len(cameras) == 2 and all(camera.word == "moved" for camera in cameras):
+        first, second = cameras
+        return [
+            f"{first.name} or {second.name} moved, by {_deg(first)} deg against the other; with "
+            f"two cameras nobody can say which: {_CALIBRATE}"
+        ]
+    lines = []
+    for camera in cameras:
+        change = float(np.expm1(camera.focal_change))
+        text = f"{abs(change):.1%} {'longer' if change > 0 else 'shorter'}"
+        if camera.word in _REASONS:
+            reason = _REASONS[camera.word]
+            lines.append(reason.format(camera=camera.name, move=describe_move(camera), change=text))
+    return lines
+
+
+def describe_move(camera: VerifiedCamera) -> str:
+    """Return by how much a camera moved, for a person: `is turned by 2.1 +- 0.2 deg`.
+
+    A turn or a shift of less than two standard deviations is none.
+    """
+    parts = []
+    if camera.turn > 2 * camera.turn_sigma:
+        parts.append(f"turned by {_deg(camera)} deg")
+    if camera.shift > 2 * camera.shift_sigma:
+        sigma = camera.relative_shift * camera.shift_sigma / camera.shift
+        parts.append(f"shifted by {camera.relative_shift:.1%} +- {sigma:.1%} of the rig's size")
+    return f"is {' and '.join(parts)}" if parts else "is elsewhere"
+
+
+def _provenance(
+    cameras: Sequence[VerifiedCamera], verdict: Verdict, names: Names, covariance: RigCovariance
+) -> dict[str, Any]:
+    """Return what the file of a corrected rig holds of its verdict.
+
+    names: of the views of the covariance.
+    """
+    refits = [
+        f"{camera.name}: refitted by keypoints; as given before it {describe_move(camera)}"
+        for camera in cameras
+        if camera.word in ("moved", "focal")
+    ]
+    errors = [camera.refitted_px for camera in cameras if camera.refitted_px < np.inf]
+    sigmas = {
+        "rotation_sigma_deg": np.rad2deg(covariance.rotation_sigma),
+        "centre_sigma_percent": 100 * covariance.centre_sigma,
+    }
+    return judgement(
+        verdict.word,
+        [*refits, *verdict.reasons],
+        float(np.mean(errors)) if errors else None,
+        **{
+            what: {name: round_sigma(each) for name, each in zip(names, values, strict=True)}
+            for what, values in sigmas.items()
+        },
+    )
+
+
+def verification_to_dict(found: Verification) -> dict[str, Any]:
+    """Return the figures under the keys of `mocap-calib verify --json`; angles in degrees.
+
+    None where a figure of a camera is not known.
+    """
+    cameras = []
+    for camera in found.cameras:
+        figures = {
+            "turn_deg": np.rad2deg(camera.turn),
+            "turn_sigma_deg": np.rad2deg(camera.turn_sigma),
+            "shift": camera.shift,
+            "shift_sigma": camera.shift_sigma,
+            "relative_shift": camera.relative_shift,
+            "focal_change": np.expm1(camera.focal_change),
+            "error_px": camera.error_px,
+            "refitted_px": camera.refitted_px,
+        }
+        known = {key: float(each) if np.isfinite(each) else None for key, each in figures.items()}
+        cameras.append({"name": camera.name, "place": camera.word} | known)
+    return {
+        "verdict": found.verdict,
+        "passes": found.passes,
+        "named": list(found.named),
+        "reasons": list(found.reasons),
+        "unit": found.rig.unit,
+        "cameras": cameras,
+    }
+
+
+def _deg(camera: VerifiedCamera) -> str:
+    """Return the turn of a camera and its standard deviation in degrees."""
+    return f"{np.rad2deg(camera.turn):.2f} +- {np.rad2deg(camera.turn_sigma):.2f}"

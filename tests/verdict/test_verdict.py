@@ -23,7 +23,7 @@ from mocap_calib.results import (
 )
 from mocap_calib.types import CameraClock
 from mocap_calib.verdict.checks import CHECKS, check_rig
-from mocap_calib.verdict.verdict import _stands_still, assess, expected_error, judge
+from mocap_calib.verdict.verdict import assess, expected_error, judge
 
 CONFIG = Config()
 
@@ -64,7 +64,7 @@ def test_causes_add_in_squares_for_each_camera(causes, expected):
 
 
 def test_of_each_kind_the_largest_cause_is_a_reason():
-    causes = (cause(1.2, "a"), cause(0.9, "b"), cause(0.6, "a", "lens"), cause(0.4, "a", "flat"))
+    causes = (cause(1.2, "a"), cause(0.9, "b"), cause(0.6, "a", "errors"), cause(0.4, "a", "flat"))
     found = Verdict(1.5, causes)
     assert found.reasons == (str(causes[0]), str(causes[2]))
     assert Verdict(0.9, causes).reasons == ()
@@ -72,9 +72,9 @@ def test_of_each_kind_the_largest_cause_is_a_reason():
 
 
 def test_a_check_without_a_value_does_not_fail():
-    assert Check("lens").passed
-    assert Check("lens", 0.9).passed
-    assert not Check("lens", 1.1).passed
+    assert Check("errors").passed
+    assert Check("errors", 0.9).passed
+    assert not Check("errors", 1.1).passed
 
 
 def values(group: GroupResult) -> dict[str, Check]:
@@ -148,22 +148,8 @@ def test_faults_and_clocks_that_are_not_corrected_make_a_rig_weak():
 
 
 @pytest.mark.slow
-def test_images_tell_who_stands_still():
-    """Whatever the rig says: one that is wrong places bodies anywhere."""
-    group = calibrated()
-    assert not _stands_still(group)
-    seen, labels = group.recording.positions, group.matches.labels
-    still = replace(
-        group,
-        recording=replace(group.recording, positions=np.repeat(seen[:, :1], seen.shape[1], axis=1)),
-        matches=Matches(np.repeat(labels[:, :1], labels.shape[1], axis=1)),
-    )
-    assert _stands_still(still)
-
-
-@pytest.mark.slow
 def test_checks_see_what_is_wrong():
-    """A camera blind to identities, errors in one stretch, a lens."""
+    """A camera blind to identities, and errors in one stretch."""
     group = calibrated()
     frames = len(group.recording.frames)
     labels = group.matches.labels.copy()
@@ -178,13 +164,6 @@ def test_checks_see_what_is_wrong():
     turn = np.rad2deg(40.0 / group.rig.cameras[1].focal)
     assert turn < found.error_deg < 2 * turn  # along both axes of the image
     assert found.camera == group.rig.names[1]
-    camera, positions = group.rig.cameras[0], group.recording.positions.copy()
-    arm = (positions[0] - camera.matrix[:2, 2]) / camera.focal
-    positions[0] += camera.focal * 0.3 * arm * (arm**2).sum(-1, keepdims=True)
-    bent = replace(group, recording=replace(group.recording, positions=positions))
-    found = values(bent)["lens"]
-    assert found.camera == group.rig.names[0]
-    assert 0 < found.error_deg < np.rad2deg(0.3 * np.nanmax((arm**2).sum(-1)) ** 1.5)
 
 
 @pytest.mark.slow

@@ -15,8 +15,7 @@ from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.sampling import take_sample, with_cameras
 from mocap_calib.results import Verification, VerifiedCamera
 from mocap_calib.types import CameraRig, silent
-from mocap_calib.verdict.rig_changes import describe_move, verification_to_dict
-from mocap_calib.verdict.verify import verify_rig
+from mocap_calib.verdict.verify import describe_move, verification_to_dict, verify_rig
 
 AXIS = np.array([0.48, 0.6, 0.64])
 

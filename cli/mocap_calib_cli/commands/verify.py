@@ -74,8 +74,7 @@ def command(
       mocap-calib verify board.toml keypoints/ --json --strict
     """
     from mocap_calib.config import Config
-    from mocap_calib.verdict.rig_changes import verification_to_dict
-    from mocap_calib.verdict.verify import verify
+    from mocap_calib.verdict.verify import verification_to_dict, verify
     from mocap_calib_cli import inputs, outputs, screen, verdicts
     from mocap_calib_cli.progress import Reporter
 
@@ -130,7 +129,7 @@ def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
 
 def _camera_table(found: "Verification") -> "Table":
     """Return a table of the cameras: how far each is from where it is given, and its errors."""
-    from mocap_calib.verdict.rig_changes import verification_to_dict
+    from mocap_calib.verdict.verify import verification_to_dict
     from mocap_calib_cli.screen import Table, format_number
 
     unit = found.rig.unit
