@@ -614,9 +614,9 @@ class CueConfig:
         top of the head at 0.971 for 0.961.
     tall_quantile: of the heights of a person over frames: walkers bob. least_frames: in which a
         person stands, or a length is seen.
-    height_sigma, length_sigma: relative, of a stature and of a length between joints, however many
-        frames there are: detectors place joints beside those of anatomy (bones of people -16 to
-        +12 %, statures -3 to +3 %).
+    height_sigma: relative, of a stature, however many frames there are, and half of that of a
+        length between joints: detectors place joints beside those of anatomy (bones of people -16
+        to +12 %, statures -3 to +3 %).
     most_residual: in standard deviations, above which cues contradict each other.
     statures: of people in metres, least and most.
     """
@@ -632,7 +632,6 @@ class CueConfig:
     tall_quantile: float = 0.75
     least_frames: int = 5
     height_sigma: float = 0.03
-    length_sigma: float = 0.06
     most_residual: float = 3.0
     statures: tuple[float, float] = (0.3, 3.0)
 
@@ -647,7 +646,6 @@ class WorldConfig:
         second. "" = as the first camera looks.
     cameras: poses of cameras in a known world, to which results are aligned; unit: of their
         lengths. landmarks: points of a known world, to which results are aligned.
-    least_extent: of landmarks beside a line, as a share of their extent along it.
     stated_sigma: of places of landmarks and cameras, as a share of their RMS distance from their
         middle: 2 cm in a room of 4 m. landmark_pixels: of a landmark in an image. turn_sigma: of
         cameras, in radians.
@@ -665,7 +663,6 @@ class WorldConfig:
     landmarks: tuple[Landmark, ...] = ()
     floor: FloorConfig = FloorConfig()
     measure: CueConfig = CueConfig()
-    least_extent: float = 0.03
     stated_sigma: float = 0.01
     landmark_pixels: float = 2.0
     turn_sigma: float = radians(1.0)

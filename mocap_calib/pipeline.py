@@ -42,8 +42,7 @@ from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.training import on_device
 from mocap_calib.types import CameraRig, Ints, Mapper, Progress, Recording, silent
 from mocap_calib.verdict.verdict import conclude, judge
-from mocap_calib.world.place import place_result
-from mocap_calib.world.requested import check_world
+from mocap_calib.world.place import check_world, place_result
 
 
 def calibrate(
@@ -76,7 +75,7 @@ def calibrate(
     does not determine are left out. Raises FormatError where there is no such model, and
     MismatchError where there is no such device, the model knows too few of the joints,
     intrinsics that nobody knows are not to be estimated, or `config.world` names joints, cameras or
-    individuals that the recording lacks: see `world.requested`. Where results do not allow the
+    individuals that the recording lacks: see `world.place`. Where results do not allow the
     requested coordinates, `World.axes_unmet` and `World.scale_unmet` of the rigs have the reason.
     """
     check_world(config.world, recording, config.matching.individuals)

@@ -30,12 +30,6 @@ class Similarity(NamedTuple):
         """Return points `[..., 3]` where they are then."""
         return self.scale * points @ self.rotation.T + self.shift
 
-    @property
-    def still(self) -> bool:
-        """Whether nothing moves, to the last digit."""
-        turned = not np.array_equal(self.rotation, np.eye(3))
-        return not turned and not self.shift.any() and self.scale == 1
-
 
 def align_by_similarity(source: Floats, target: Floats) -> Similarity:
     """Return the similarity s, R, t that minimises sum |s R x + t - y|^2.

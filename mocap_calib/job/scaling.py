@@ -32,8 +32,7 @@ from mocap_calib.results import RigCovariance
 from mocap_calib.types import ARBITRARY, CameraRig, World
 from mocap_calib.wording import count
 from mocap_calib.world.floor import find_joints
-from mocap_calib.world.lengths import Scale, find_scale, scaled_world
-from mocap_calib.world.place import measurable
+from mocap_calib.world.lengths import Scale, find_scale, measurable, scaled_world
 
 _CAMERAS = "cameras.yaml"
 _POSES = "poses3d.h5"

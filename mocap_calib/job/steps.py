@@ -29,7 +29,7 @@ from mocap_calib.paper import choose_pair_solver
 from mocap_calib.pipeline import calibrate
 from mocap_calib.results import CalibrationResult
 from mocap_calib.types import Mapper, Progress, silent
-from mocap_calib.world.requested import check_world
+from mocap_calib.world.place import check_world
 
 
 @dataclass(frozen=True)

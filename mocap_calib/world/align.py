@@ -233,7 +233,8 @@ def _check_landmarks(points: Floats, number: int, config: WorldConfig) -> None:
             f"found {len(points)} of {number}; add observations"
         )
     extent = np.linalg.svd(points - points.mean(0), compute_uv=False)
-    if extent[1] <= config.least_extent * extent[0]:  # the rotation about the line is open
+    # within three standard deviations of their places: the rotation about the line is open
+    if extent[1] <= 3 * config.stated_sigma * extent[0]:
         raise MismatchError(
             "--align: expected landmarks that are not on a line, found all of them on one; "
             "add one beside it"

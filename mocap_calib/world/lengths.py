@@ -1,33 +1,35 @@
-"""Measure known lengths in results, and estimate the scale that fits them best.
+"""Check stated lengths, measure them in results, and estimate the scale that fits them best.
 
 Each cue gives the length of a unit: the logarithms of known over measured lengths are averaged,
 weighted by their inverse variances (a product of errors is a sum of logarithms).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import CueConfig, ScaleCue, WorldConfig
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.geometry.alignment import body_size
 from mocap_calib.kinematics import quantile_over_frames
+from mocap_calib.recording.joints import normalise_name
+from mocap_calib.recording.timeline import views_by_camera
 from mocap_calib.results import Poses3D, RigCovariance
 from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, World
 from mocap_calib.world.align import find_culprit
-from mocap_calib.world.floor import Floor, Joints, distance, lengths_of_legs, stand_straight
-from mocap_calib.world.requested import (
-    OTHER_CUES,
-    camera_pair,
-    check_cues,
-    describe_cue,
-    find_individual,
-    head_columns,
-    joint_pair,
-    likely_unit,
+from mocap_calib.world.floor import (
+    Floor,
+    Joints,
+    distance,
+    find_floor,
+    lengths_of_legs,
+    sample_poses,
+    stand_straight,
 )
 
+_OTHER_CUES = "use --length or --camera-distance"
+_METRES = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048}
 _RESCALED = "axes and origin are those of the file; lengths follow from known ones instead"
 
 
@@ -45,6 +47,26 @@ class Measurable:
     floor: Floor | str
     covariance: RigCovariance
     individuals: tuple[str, ...] = ()
+
+
+def measurable(
+    poses: Poses3D,
+    joints: Joints,
+    rig: CameraRig,
+    covariance: RigCovariance,
+    config: WorldConfig,
+    *,
+    verdict: str,
+) -> Measurable:
+    """Return results as lengths are measured in them, with the floor.
+
+    verdict: on the rig, "" = none.
+    """
+    sample = sample_poses(poses)
+    if verdict == "not determined":
+        return Measurable(sample, joints, rig, "the rig is not determined", covariance)
+    floor = find_floor(sample, joints, config.floor)
+    return Measurable(sample, joints, rig, floor, covariance)
 
 
 @dataclass(frozen=True)
@@ -142,7 +164,7 @@ def statures(on: Measurable, config: WorldConfig) -> Floats:
     heads = head_columns(on.joints, config.measure)
     if isinstance(on.floor, str):
         raise MismatchError(
-            f"--height: expected someone who stands, found that {on.floor}; {OTHER_CUES}"
+            f"--height: expected someone who stands, found that {on.floor}; {_OTHER_CUES}"
         )
     positions, floor = on.poses.positions, config.floor
     height = (positions - on.floor.point) @ on.floor.up
@@ -174,7 +196,7 @@ def _measure_height(cue: ScaleCue, on: Measurable, config: WorldConfig) -> tuple
         who = f"individual {cue.of}" if cue.of else "someone"
         raise MismatchError(
             f"--height: expected {who} on a straight leg in {config.measure.least_frames} frames, "
-            f"found no one; {OTHER_CUES}"
+            f"found no one; {_OTHER_CUES}"
         )
     middle = float(np.median(found))
     low = on.floor.sigma / middle if isinstance(on.floor, Floor) else 0.0
@@ -193,7 +215,7 @@ def _measure_length(cue: ScaleCue, on: Measurable, config: CueConfig) -> tuple[f
             f"--length {cue.of}: expected both joints of a subject in {config.least_frames} "
             f"frames, found them in {most}; use another pair"
         )
-    return float(np.median(middles)), float(np.hypot(config.length_sigma, _spread(middles)))
+    return float(np.median(middles)), float(np.hypot(2 * config.height_sigma, _spread(middles)))
 
 
 def _measure_cameras(cue: ScaleCue, on: Measurable) -> tuple[float, float]:
@@ -243,3 +265,156 @@ def check_unit(positions: Floats, joints: Joints, option: str, config: CueConfig
         )
     too_small = metres < config.statures[0]
     return [f"people are {metres:.2g} m tall: is the unit of {option} right?"] if too_small else []
+
+
+# --- what is stated of lengths
+
+
+def check_cues(
+    cues: Sequence[ScaleCue],
+    keypoints: tuple[str, ...],
+    joints: Joints,
+    views: Sequence[str],
+    config: CueConfig,
+    *,
+    count: int | None = None,
+    individuals: Sequence[str] = (),
+) -> None:
+    """Compare known lengths with the names of keypoints, cameras and individuals.
+
+    views: names of the cameras' views. count: of individuals, None = not known, and individuals:
+    names that they have besides numbers.
+
+    Raises MismatchError for unknown names, impossible statures, and lengths that are given twice.
+    """
+    seen: set[tuple[str, frozenset[int]]] = set()
+    for cue in cues:
+        if cue.kind == "height":
+            head_columns(joints, config)
+            _check_stature(cue.metres, config)
+            own = [find_individual(cue.of, count, individuals)] if cue.of else []
+            what = frozenset(own)
+        elif cue.kind == "length":
+            what = frozenset(joint_pair(cue.of, keypoints, joints, "--length"))
+        else:
+            what = frozenset(camera_pair(cue.of, views, "--camera-distance"))
+        if (cue.kind, what) in seen:
+            raise MismatchError(
+                f"scale: expected each length once, found {describe_cue(cue)} twice; "
+                "leave one of them out"
+            )
+        seen.add((cue.kind, what))
+
+
+def describe_cue(cue: ScaleCue) -> str:
+    """Return the name of a known length: `height of 0`, `length left_hip-left_knee`."""
+    if cue.kind == "height":
+        return f"height of {cue.of}" if cue.of else "height"
+    return f"{cue.kind} {cue.of}"
+
+
+def head_columns(joints: Joints, config: CueConfig) -> list[tuple[int, float]]:
+    """Return the points of the head, and the height of each in statures.
+
+    Raises MismatchError without such points, and without feet.
+    """
+    heads = [(joints.columns[name], share) for name, share in config.head_height
+             if name in joints.columns]  # fmt: skip
+    if joints.kind != "people" or not heads or not joints.have_feet:
+        raise MismatchError(
+            "--height: expected people with ankles and points of the head (head_top, eyes, ears "
+            f"or nose), found none; {_OTHER_CUES}"
+        )
+    return heads
+
+
+def find_individual(text: str, count: int | None, individuals: Sequence[str] = ()) -> int:
+    """Return the index of an individual, by its number, `individual_0` or its name.
+
+    count: of individuals, None = not known. individuals: their names besides numbers.
+
+    Raises MismatchError.
+    """
+    number = text.removeprefix("individual_")
+    index = int(number) if number.isdecimal() else -1
+    index = individuals.index(text) if text in individuals else index
+    if index >= 0 and (count is None or index < count):
+        return index
+    known = ["0", "1", "..."] if count is None else [*map(str, range(count)), *individuals]
+    raise MismatchError(
+        f"--height {text}=...: expected an individual, one of {', '.join(known)}, "
+        f"found {text!r}; {suggest(text, known)}"
+    )
+
+
+def joint_pair(
+    text: str, keypoints: tuple[str, ...], joints: Joints, option: str
+) -> tuple[int, int]:
+    """Return the indices of two keypoints of `A-B`, by their own names or those of joints.
+
+    Raises MismatchError.
+    """
+    known = {normalise_name(name): k for name, k in joints.columns.items()}
+    known |= {normalise_name(name): k for k, name in enumerate(keypoints)}
+    known |= {name: k for k, name in enumerate(keypoints)}
+    return _split_pair(text, known, "joints", keypoints, option)
+
+
+def camera_pair(text: str, views: Sequence[str], option: str) -> tuple[int, int]:
+    """Return the indices of the views of two cameras of `A-B`. Raises MismatchError."""
+    known = {name: own[0] for name, own in views_by_camera(views).items()}
+    return _split_pair(text, known, "cameras", tuple(known), option)
+
+
+def _split_pair(
+    text: str, known: Mapping[str, int], what: str, offered: Sequence[str], option: str
+) -> tuple[int, int]:
+    """Return the indices of the two names of `A-B`, either of which may have a `-`.
+
+    Raises MismatchError.
+    """
+
+    def index_of(name: str) -> int | None:
+        """Return the index of a name, None if it is not known."""
+        return known.get(name, known.get(normalise_name(name)))
+
+    parts = text.split("-")
+    halves = [("-".join(parts[:k]), "-".join(parts[k:])) for k in range(1, len(parts))]
+    for a, b in ((index_of(first), index_of(second)) for first, second in halves):
+        if a is not None and b is not None and a != b:
+            return a, b
+    if index_of(text) is not None:
+        raise MismatchError(
+            f"{option} {text}: expected two {what}, as A-B, found one; add the second"
+        )
+    strangers = [half for pair in halves for half in pair if index_of(half) is None]
+    if halves and not strangers:
+        raise MismatchError(
+            f"{option} {text}: expected two {what}, found one of them twice; use another pair"
+        )
+    stranger = strangers[0] if strangers else text
+    raise MismatchError(
+        f"{option} {text}: expected two {what}, as A-B, of {', '.join(offered)}, "
+        f"found {stranger!r}; {suggest(stranger, offered)}"
+    )
+
+
+def _check_stature(metres: float, config: CueConfig) -> None:
+    """Raise MismatchError for an impossible stature."""
+    least, most = config.statures
+    if not least <= metres <= most:
+        raise MismatchError(
+            f"--height: expected the stature of a person in metres, {least:g} to {most:g}, "
+            f"found {metres:g}; {likely_unit(metres, config)}"
+        )
+
+
+def likely_unit(stature: float, config: CueConfig) -> str:
+    """Return what to do about a stature that is impossible in metres."""
+    least, most = config.statures
+    fits = {name: stature * unit for name, unit in _METRES.items()}
+    fits = {name: metres for name, metres in fits.items() if least <= metres <= most}
+    if not fits:
+        return "correct it"
+    name = max(fits, key=lambda each: fits[each])
+    return f"were {name} meant? multiply by {_METRES[name]:g}: {fits[name]:g} m"

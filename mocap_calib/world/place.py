@@ -1,22 +1,90 @@
-"""Move results to the requested coordinates: scale, up, floor, origin and heading."""
+"""Check requested coordinates, and move results to them: scale, up, floor, origin and heading."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
-from mocap_calib.errors import DegenerateError, MismatchError
+from mocap_calib.errors import DegenerateError, MismatchError, suggest
 from mocap_calib.geometry.alignment import Similarity
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.recording.timeline import views_by_camera
+from mocap_calib.recording.timeline import own_names, views_by_camera
 from mocap_calib.results import CalibrationResult, GroupResult, Poses3D, RigCovariance
-from mocap_calib.types import METRES, CameraRig, Floats, World
-from mocap_calib.world.align import align_to_cameras, align_to_landmarks, describe_alignment
-from mocap_calib.world.floor import Floor, Joints, find_floor, joints_of_recording, sample_poses
-from mocap_calib.world.lengths import Measurable, Scale, check_unit, find_scale, scaled_world
-from mocap_calib.world.requested import camera_pair, joint_pair
+from mocap_calib.types import METRES, CameraRig, Floats, Recording, World
+from mocap_calib.world.align import (
+    align_to_cameras,
+    align_to_landmarks,
+    check_landmarks,
+    describe_alignment,
+    stated_rig,
+)
+from mocap_calib.world.floor import (
+    NO_FEET,
+    Floor,
+    Joints,
+    joints_of_recording,
+)
+from mocap_calib.world.lengths import (
+    Measurable,
+    Scale,
+    camera_pair,
+    check_cues,
+    check_unit,
+    find_scale,
+    joint_pair,
+    measurable,
+    scaled_world,
+)
+
+
+def check_world(config: WorldConfig, recording: Recording, individuals: int | None = None) -> None:
+    """Check the requested coordinates and lengths against a recording.
+
+    individuals: how many there are at most, None = not known.
+
+    Raises MismatchError for unknown joints, cameras, axes and individuals, requests that exclude
+    each other, and a floor or a stature of bodies without feet.
+    """
+    cameras = own_names(recording.names)
+    joints = joints_of_recording(recording)
+    _check_axes(config, cameras, joints)
+    if config.forward:
+        joint_pair(config.forward, recording.keypoints, joints, "--forward")
+    known_scale = config.landmarks or (config.cameras and config.unit in METRES)
+    if config.cues and known_scale:
+        raise MismatchError(
+            "scale: expected lengths from one source, found known lengths and a world in a known "
+            "unit; leave out --height, --length and --camera-distance"
+        )
+    names = (recording.keypoints, joints, recording.names)
+    check_cues(config.cues, *names, config.measure, count=individuals)
+
+
+def _check_axes(config: WorldConfig, cameras: Sequence[str], joints: Joints) -> None:
+    """Raise MismatchError for unknown axes, and a floor below bodies without feet."""
+    if config.cameras:
+        stated_rig(config.cameras, cameras)
+    elif config.axes not in (*WORLDS, *cameras):
+        offered = ", ".join((*WORLDS, *cameras))
+        raise MismatchError(
+            f"--world: expected one of {offered}, or a file, found {config.axes!r}; "
+            f"{suggest(config.axes, (*WORLDS, *cameras))}"
+        )
+    if config.landmarks:
+        check_landmarks(config.landmarks, cameras, config)
+    on_floor = not config.cameras and not config.landmarks and config.axes in ("auto", "floor")
+    if config.forward and not on_floor:
+        raise MismatchError(
+            "--forward: expected a world on the floor, found another; "
+            "leave out --forward, --world or --align"
+        )
+    if (config.forward or config.axes == "floor") and not joints.have_feet:
+        option = "--forward" if config.forward else "--world floor"
+        raise MismatchError(
+            f"{option}: expected subjects that show a floor, found that {NO_FEET} (of people, or "
+            "of animals on four legs); leave it out"
+        )
 
 
 @dataclass(frozen=True)
@@ -55,26 +123,6 @@ def place_in_world(group: GroupResult, config: WorldConfig) -> GroupResult:
     return move_group(group, placement.by, placement.unit, placement.world)
 
 
-def measurable(
-    poses: Poses3D,
-    joints: Joints,
-    rig: CameraRig,
-    covariance: RigCovariance,
-    config: WorldConfig,
-    *,
-    verdict: str,
-) -> Measurable:
-    """Return results as lengths are measured in them, with the floor.
-
-    verdict: on the rig, "" = none.
-    """
-    sample = sample_poses(poses)
-    if verdict == "not determined":
-        return Measurable(sample, joints, rig, "the rig is not determined", covariance)
-    floor = find_floor(sample, joints, config.floor)
-    return Measurable(sample, joints, rig, floor, covariance)
-
-
 def find_placement(on: Measurable, config: WorldConfig) -> Placement:
     """Return the way to the requested coordinates, and the world that they are.
 
@@ -101,16 +149,8 @@ def _find_axes(on: Measurable, config: WorldConfig) -> Placement:
 
     Raises MismatchError and DegenerateError where the results do not allow them.
     """
-    if config.landmarks:
-        by, sigma, seen = align_to_landmarks(on.rig, config.landmarks, config, on.covariance)
-        metres = by.scale * on.poses.positions
-        doubts = check_unit(metres, on.joints, "--align", config.measure)
-        remarks = (describe_alignment(seen), *doubts)
-        world = World(kind="landmarks", scale_sigma=sigma, remarks=remarks, landmarks=seen)
-        return Placement(by, "m", world)
-    if config.cameras:
-        by, sigma, remark = align_to_cameras(on.rig, config, on.covariance)
-        return Placement(by, config.unit, _world_of_file(on, by, sigma, remark, config))
+    if config.landmarks or config.cameras:
+        return _stated_axes(on, config)
     if isinstance(on.floor, Floor) and config.axes in ("auto", "floor"):
         by = _way_to_floor(on, on.floor, config)
         return Placement(by, on.poses.unit, World(kind="floor"))
@@ -123,18 +163,23 @@ def _find_axes(on: Measurable, config: WorldConfig) -> Placement:
     return _look_through_camera(on, config)
 
 
-def _world_of_file(
-    on: Measurable, by: Similarity, sigma: float, remark: str, config: WorldConfig
-) -> World:
-    """Return the world of a file of cameras. Raises MismatchError where people do not fit its unit.
+def _stated_axes(on: Measurable, config: WorldConfig) -> Placement:
+    """Return the way to the world of landmarks, or of cameras of known pose.
 
-    by: the way to it. sigma: of the scale. remark: on the alignment.
+    Raises MismatchError where these do not fit the rig, or people do not fit their unit.
     """
-    if config.unit not in METRES:
-        return World(kind="file", remarks=(remark,))
-    metres = METRES[config.unit] * by.scale * on.poses.positions
-    doubts = check_unit(metres, on.joints, "--world", config.measure)
-    return World(kind="file", scale_sigma=sigma, remarks=(remark, *doubts))
+    if config.landmarks:
+        by, sigma, seen = align_to_landmarks(on.rig, config.landmarks, config, on.covariance)
+        world = World(kind="landmarks", landmarks=seen, remarks=(describe_alignment(seen),))
+    else:
+        by, sigma, remark = align_to_cameras(on.rig, config, on.covariance)
+        world = World(kind="file", remarks=(remark,))
+    option, unit = ("--align", "m") if config.landmarks else ("--world", config.unit)
+    if unit in METRES:
+        metres = METRES[unit] * by.scale * on.poses.positions
+        doubts = check_unit(metres, on.joints, option, config.measure)
+        world = replace(world, scale_sigma=sigma, remarks=(*world.remarks, *doubts))
+    return Placement(by, unit, world)
 
 
 def _way_to_floor(on: Measurable, floor: Floor, config: WorldConfig) -> Similarity:
@@ -252,8 +297,6 @@ def _has_cameras(group: GroupResult, cue: ScaleCue) -> bool:
 
 def move_rig(rig: CameraRig, by: Similarity, unit: str, world: World) -> CameraRig:
     """Return a rig in other coordinates, whose unit and world are said."""
-    if by.still:
-        return replace(rig, unit=unit, world=world)
     rotation = nearest_rotation(rig.rotation @ by.rotation.T)  # a file holds it to the last digit
     translation = by.scale * rig.translation - rotation @ by.shift
     return replace(rig, rotation=rotation, translation=translation, unit=unit, world=world)
@@ -261,8 +304,6 @@ def move_rig(rig: CameraRig, by: Similarity, unit: str, world: World) -> CameraR
 
 def move_poses(poses: Poses3D, by: Similarity, unit: str, world: World) -> Poses3D:
     """Return poses in other coordinates, whose unit and world are said."""
-    if by.still:
-        return replace(poses, unit=unit, world=world)
     return replace(poses.scale(by.scale, unit).turn(by.rotation, by.shift), world=world)
 
 
@@ -278,13 +319,11 @@ def move_group(group: GroupResult, by: Similarity, unit: str, world: World) -> G
 
     A rig reversed in depth stays where it is: nothing of it was measured.
     """
-    averaged = move_rig(group.averaged.rig, by, unit, world)
-    adjusted = move_rig(group.rig, by, unit, world)
     covariance = move_covariance(group.uncertainty.covariance, by)
-    changes: dict[str, Any] = {
-        "averaged": replace(group.averaged, rig=averaged),
-        "adjusted": replace(group.adjusted, rig=adjusted),
-        "uncertainty": replace(group.uncertainty, covariance=covariance),
-        "poses": move_poses(group.poses, by, unit, world),
-    }
-    return replace(group, **changes)
+    return replace(
+        group,
+        averaged=replace(group.averaged, rig=move_rig(group.averaged.rig, by, unit, world)),
+        adjusted=replace(group.adjusted, rig=move_rig(group.rig, by, unit, world)),
+        uncertainty=replace(group.uncertainty, covariance=covariance),
+        poses=move_poses(group.poses, by, unit, world),
+    )

@@ -24,13 +24,13 @@ from mocap_calib.world.align import align_to_cameras, align_to_landmarks
 from mocap_calib.world.floor import Floor, find_joints
 from mocap_calib.world.lengths import Measurable
 from mocap_calib.world.place import (
+    check_world,
     find_placement,
     measurable,
     move_covariance,
     move_poses,
     move_rig,
 )
-from mocap_calib.world.requested import check_world
 
 SIDES = ("left", "right", "left")
 BY = Similarity(1.7, matrix_from_vector(np.array([0.3, -0.2, 1.2])), np.array([1.0, -2.0, 0.5]))

@@ -16,7 +16,7 @@ from mocap_calib.recording.joints import fit_vocabulary
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Recording
 from mocap_calib.world.floor import find_joints, joints_of_recording, stated_joints
-from mocap_calib.world.requested import joint_pair
+from mocap_calib.world.lengths import joint_pair
 
 SEEN = scene().files[0].keypoints
 COLUMNS = [scene().joints.index(name) for name in SEEN]
