@@ -527,8 +527,8 @@ class FloorConfig:
     Measured on 15 recordings against the references' axes: people who walk 0.6 to 1.5 deg, which
     the references' own ankles are off by too (0.4 to 1.7); dogs 0.4, mice 0.5.
 
-    quantile: of the lowest foot's height. near: feet this far from the plane are not on the floor,
-        and feet this near each other are in one place.
+    near: feet this far from the plane are not on the floor, and feet this near each other are in
+        one place.
     sigma: of the height of feet in one place, and of soles over the floor; and of the axis of
         people on straight legs, in radians. Twice that height of animals and of people who do not
         stand (of three who sit the plane is 4 to 6 deg off), and four times that axis. Measured:
@@ -541,7 +541,6 @@ class FloorConfig:
     ankle_height: of ankles over the sole, in lengths of the leg.
     """
 
-    quantile: float = 0.25
     near: float = 0.5
     sigma: float = 0.06
     straight: float = 0.93

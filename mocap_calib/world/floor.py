@@ -1,9 +1,9 @@
 """Bodies, and the floor that they stand on: so the up direction.
 
-The lowest foot of each body lies on the floor or above it. Its height over its place in the plane
-is a quantile regression (Koenker and Bassett 1978), solved by reweighting, in axes in which the
-bodies' own axis is up. The axis is a prior: it decides directions that the feet leave open, as on
-one walk to and fro. Feet in one place share their error, so places count, not frames.
+The lowest foot of each body lies on the floor, but for some. Its height over its place in the plane
+is a regression of least absolute deviations, solved by reweighting, in axes in which the bodies'
+own axis is up. The axis is a prior: it decides directions that the feet leave open, as on one walk
+to and fro. Feet in one place share their error, so places count, not frames.
 """
 
 from collections.abc import Sequence
@@ -87,10 +87,7 @@ def find_joints(keypoints: tuple[str, ...], skeleton: Skeleton | None = None) ->
 
 def joints_of_recording(recording: Recording) -> Joints:
     """Return the joints that the keypoints of a recording are, by the vocabulary of its model."""
-    columns = {joint: k for k, joint in enumerate(_spell_joints(recording)) if joint}
-    if not columns:
-        return find_joints(recording.keypoints)
-    return Joints(choose_skeleton(columns).name, columns)
+    return find_joints(_spell_joints(recording))
 
 
 def stated_joints(recording: Recording) -> tuple[str, ...]:
@@ -98,16 +95,17 @@ def stated_joints(recording: Recording) -> tuple[str, ...]:
 
     Names do not say it where a user's file of names or another model does.
     """
-    joints = _spell_joints(recording)
-    spelt = tuple(a or b for a, b in zip(joints, recording.keypoints, strict=True))
-    same = find_joints(spelt).columns == find_joints(recording.keypoints).columns
-    return () if same else joints
+    if joints_of_recording(recording).columns == find_joints(recording.keypoints).columns:
+        return ()
+    known = zip(_spell_joints(recording), recording.vocabulary, strict=True)
+    return tuple(name if joint >= 0 else "" for name, joint in known)
 
 
 def _spell_joints(recording: Recording) -> tuple[str, ...]:
-    """Return the model's joint `[keypoint]` of each keypoint, "" = none."""
+    """Return the model's joint `[keypoint]` of each keypoint, its own name where it is none."""
     names = load_vocabulary(recording.model).keypoints
-    return tuple(names[joint] if joint >= 0 else "" for joint in recording.vocabulary)
+    known = zip(recording.keypoints, recording.vocabulary, strict=True)
+    return tuple(names[joint] if joint >= 0 else own for own, joint in known)
 
 
 def sample_poses(poses: Poses3D) -> Poses3D:
@@ -235,7 +233,9 @@ def _lowest_feet(positions: Floats, joints: Joints, config: FloorConfig) -> _Fee
     if joints.kind == "people":
         straight = stand_straight(positions, joints, config.straight) & seen
         standing = straight.sum() >= seen.sum() / 4  # else their axis is that of a few frames
-    axis = _median_direction(rise[straight if standing else seen])
+    directions = rise[straight if standing else seen]
+    directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    axis = _unit(np.median(directions, axis=0))
     each = feet[seen]
     height = np.where(np.isfinite(each[..., 0]), each @ axis, np.inf)
     return _Feet(
@@ -248,16 +248,6 @@ def _lowest_feet(positions: Floats, joints: Joints, config: FloorConfig) -> _Fee
     )
 
 
-def _median_direction(vectors: Floats) -> Floats:
-    """Return the geometric median `[3]` of the directions of vectors `[N, 3]` (Weiszfeld 1937)."""
-    directions = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    middle = directions.mean(0)
-    for _ in range(_ROUNDS):
-        weight = 1 / np.maximum(np.linalg.norm(directions - middle, axis=1), 1e-3)
-        middle = weight @ directions / weight.sum()
-    return _unit(middle)
-
-
 def _fit_plane(feet: _Feet, config: FloorConfig) -> tuple[Floats, Floats, Floats, Floats]:
     """Fit the height of the feet over their place.
 
@@ -266,7 +256,7 @@ def _fit_plane(feet: _Feet, config: FloorConfig) -> tuple[Floats, Floats, Floats
     """
     first, second = _plane_axes(feet.axis)
     scale = feet.height_sigma
-    kink = config.sigma * feet.size / 4  # nearer than this the quantile's loss is smooth
+    kink = config.sigma * feet.size / 4  # nearer than this the loss is smooth
     middle = np.median(feet.points, axis=0)
     offset = feet.points - middle
     place = np.stack([offset @ first, offset @ second, np.ones(len(offset))], axis=1)
@@ -276,8 +266,7 @@ def _fit_plane(feet: _Feet, config: FloorConfig) -> tuple[Floats, Floats, Floats
     places = len(np.unique(np.column_stack([feet.individual, cells]), axis=0))
     residual = height - np.median(height)
     for _ in range(_ROUNDS):
-        below = np.where(residual > 0, config.quantile, 1 - config.quantile)
-        weight = below / np.maximum(np.abs(residual), kink)
+        weight = 1 / np.maximum(np.abs(residual), kink)
         weight /= 1 + (residual / (config.near * feet.size)) ** 2
         information = places / weight.sum() / scale**2
         normal = information * (place * weight[:, None]).T @ place + prior
