@@ -14,7 +14,7 @@ from mocap_calib.config import (
     LEAST_FORWARD,
 )
 from mocap_calib.geometry.rotation import skew
-from mocap_calib.types import Bools, Floats
+from mocap_calib.types import Floats
 
 
 def essential_matrix(rotation: Floats, translation: Floats) -> Floats:
@@ -148,30 +148,14 @@ def _decompose_essential(matrix: Floats) -> list[tuple[Floats, Floats]]:
 
 
 _STEPS = 6  # of reweighting
-_LEAST_MATCHES = 20
-
-
-def plane_errors(rays_a: Floats, rays_b: Floats) -> Floats:
-    """Return the errors `[n]` in radians of the homography that maps most rays of a to those of b.
-
-    By direct linear transform, reweighted by Cauchy's loss at two medians. Of those of the matches
-    that both views see within 84 degrees of the mean ray; none where these are too few.
-
-    rays_a, rays_b: `[N, 3]` unit rays of matches.
-    """
-    if len(rays_a) < _LEAST_MATCHES:
-        return np.zeros(0)
-    (flat_a, seen_a), (flat_b, seen_b) = _project(rays_a), _project(rays_b)
-    both = seen_a & seen_b
-    if both.sum() < _LEAST_MATCHES:
-        return np.zeros(0)
-    return homography_errors(flat_a[both], flat_b[both])
 
 
 def homography_errors(points: Floats, images: Floats) -> Floats:
     """Return the errors `[N]` of the homography that maps most points to their images.
 
-    As `plane_errors` does. points, images: `[N, 2]`; the errors are in the unit of the images.
+    By direct linear transform, reweighted by Cauchy's loss at two medians.
+
+    points, images: `[N, 2]`; the errors are in the unit of the images.
     """
     (points, _), (images, scale) = _normalise(points), _normalise(images)
     points = np.column_stack([points, np.ones(len(points))])
@@ -189,14 +173,6 @@ def homography_errors(points: Floats, images: Floats) -> Floats:
         error = np.linalg.norm(mapped - images, axis=1)
         weight = 1 / (1 + (error / (2 * np.median(error) + 1e-12)) ** 2)
     return np.asarray(error * scale)
-
-
-def _project(rays: Floats) -> tuple[Floats, Bools]:
-    """Return rays `[N, 2]` in the plane that touches the sphere at their mean, and which do."""
-    axis = rays.mean(0) / np.linalg.norm(rays.mean(0))
-    side = np.linalg.svd(axis[None])[2][1:]
-    forward = rays @ axis
-    return rays @ side.T / np.maximum(forward, LEAST_FORWARD)[:, None], forward > LEAST_FORWARD
 
 
 def _normalise(points: Floats) -> tuple[Floats, float]:

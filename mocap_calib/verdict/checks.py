@@ -9,14 +9,12 @@ check needs a limit of its own.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES, VERDICT_LIMITS_DEG, Config
-from mocap_calib.geometry.epipolar import plane_errors
-from mocap_calib.geometry.lens import project_views, unproject_views
+from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import evenly_spaced, known_medians
 from mocap_calib.results import Check, GroupResult, Matches
 from mocap_calib.rig.averaging import best_scores
@@ -26,8 +24,6 @@ from mocap_calib.types import CameraRig, Floats, Ints, Recording
 # of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras
 # with estimated intrinsics are off by 2 to 5 deg in five of eight recordings, by 21 to 40 in three
 OPEN_DEG = 5.0
-_PAIRS = 30  # of views, that are compared with planes
-_MATCHES_OF_A_PAIR = 1000
 _STRETCH_KEYPOINTS = 30  # of a camera, that a stretch of time has at least
 
 
@@ -78,12 +74,11 @@ def report_frames(recording: Recording) -> Ints:
 class Look:
     """A group of cameras, and the residuals of its points.
 
-    error: `[view, frame, individual, keypoint]` distances from the points in degrees.
+    gap: `[view, 2, frame, individual, keypoint]` in degrees.
     """
 
     group: GroupResult
-    left: Residuals
-    error: Floats
+    gap: Floats
     config: Config
 
 
@@ -103,28 +98,6 @@ def few_frames(look: Look) -> float:
     return OPEN_DEG / max(len(labelled_frames(look.group.matches)), 1)
 
 
-def flatness(look: Look) -> float:
-    """Return the error of a rig whose points may all lie in one plane.
-
-    The share is that of the variance of the points in the one that they would have in a plane, the
-    median of pairs of views: a homography maps the images of a plane to each other, wherever
-    a rig has the cameras. NaN where no two views have enough in common.
-    """
-    views = len(look.group.rig.cameras)
-    pixels = look.left.pixels.reshape(views, 2, -1).swapaxes(1, 2)
-    rays = unproject_views(look.group.rig.cameras, pixels, by_component=True)
-    error = np.deg2rad(look.error.reshape(views, -1))
-    found = []
-    for a, b in evenly_spaced(np.array(list(combinations(range(views), 2))), _PAIRS).tolist():
-        both = np.flatnonzero(np.isfinite(error[[a, b]]).all(0))
-        both = evenly_spaced(both, _MATCHES_OF_A_PAIR)
-        in_plane = plane_errors(*(rays[view][:, both].T for view in (a, b)))
-        if len(in_plane):
-            usual = np.hypot(*np.median(error[[a, b]][:, both], axis=1))
-            found.append(float(usual / max(np.median(in_plane), 1e-12)))
-    return OPEN_DEG * min(1.0, float(np.median(found)) ** 2) if found else np.nan
-
-
 # Of each camera
 
 
@@ -140,8 +113,7 @@ def over_time(look: Look) -> Floats:
     As of a camera that was moved: what a tenth of all stretches of time exceed. A shorter time is
     that of false detections.
     """
-    gap = np.rad2deg(look.left.gap / _focal_lengths(look.group)[:, None])
-    stretches = np.array_split(gap, look.config.uncertainty.time_blocks, axis=2)
+    stretches = np.array_split(look.gap, look.config.uncertainty.time_blocks, axis=2)
     counts = np.stack([np.isfinite(part[:, 0]).sum((1, 2, 3)) for part in stretches])
     # a stretch in which a camera matches little does not show where it is
     enough = counts >= np.maximum(_STRETCH_KEYPOINTS, np.median(counts, axis=0) / 2)
@@ -153,12 +125,7 @@ def over_time(look: Look) -> Floats:
 
 def errors(look: Look) -> Floats:
     """Return the median error `[view]` of the detections."""
-    return _medians(look.error)
-
-
-def _focal_lengths(group: GroupResult) -> Floats:
-    """Return the focal lengths in pixels, `[view, 1, 1, 1]`."""
-    return np.array([camera.focal for camera in group.rig.cameras])[:, None, None, None]
+    return _medians(np.linalg.norm(look.gap, axis=1))
 
 
 def _medians(values: Floats) -> Floats:
@@ -213,8 +180,8 @@ def kind_of(check: Check) -> CheckKind:
 
 def check_rig(group: GroupResult, config: Config) -> tuple[Check, ...]:
     """Return all checks of the rig of a group."""
-    left = residuals_of(group)
-    look = Look(group, left, np.rad2deg(left.distance / _focal_lengths(group)), config)
+    focal = np.array([camera.focal for camera in group.rig.cameras])[:, None, None, None, None]
+    look = Look(group, np.rad2deg(residuals_of(group).gap / focal), config)
     return tuple(kind.check(look) for kind in CHECKS)
 
 
@@ -232,14 +199,6 @@ CHECKS = (
         "bodies are matched in few frames: errors that all joints of a frame share do not show",
         "record longer",
         few_frames,
-    ),
-    CheckKind(
-        "flat",
-        "5 times the share of the variance that would be left if all points lay in one plane, as "
-        "several rigs fit these",
-        "all detections may lie in one plane: other rigs would fit as well",
-        "let the subject come closer, rise, jump or tilt",
-        flatness,
     ),
     CheckKind(
         "pair score",

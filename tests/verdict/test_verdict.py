@@ -64,7 +64,12 @@ def test_causes_add_in_squares_for_each_camera(causes, expected):
 
 
 def test_of_each_kind_the_largest_cause_is_a_reason():
-    causes = (cause(1.2, "a"), cause(0.9, "b"), cause(0.6, "a", "errors"), cause(0.4, "a", "flat"))
+    causes = (
+        cause(1.2, "a"),
+        cause(0.9, "b"),
+        cause(0.6, "a", "errors"),
+        cause(0.4, "a", "over time"),
+    )
     found = Verdict(1.5, causes)
     assert found.reasons == (str(causes[0]), str(causes[2]))
     assert Verdict(0.9, causes).reasons == ()
