@@ -32,13 +32,12 @@ from mocap_calib.results import (
 from mocap_calib.rig.observed import Observed
 from mocap_calib.rig.tracks import labelled_frames
 from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.types import Bools, CameraRig, EstimatedCamera, Progress, Sample, silent
-from mocap_calib.verdict.checks import OPEN_DEG, check_rig, kind_of, report_frames
+from mocap_calib.types import CameraRig, EstimatedCamera, Progress, Sample, silent
+from mocap_calib.verdict.checks import OPEN_DEG, check_rig, kind_of
 from mocap_calib.verdict.uncertainty import assess_uncertainty, with_uncertain_corner
 from mocap_calib.wording import count
 
 _HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected
-_FACING_DEG = 150.0  # between the viewing directions of cameras that face each other
 
 
 def judge(result: CalibrationResult) -> CalibrationResult:
@@ -80,15 +79,14 @@ def assess(
 def expected_error(names: Sequence[str], causes: Sequence[Cause]) -> float:
     """Return the expected error in degrees of the least certain camera. names: of the rig."""
     squares = [
-        sum(cause.error_deg**2 for cause in causes if cause.camera in ("", name, _own(name)))
+        sum(
+            cause.error_deg**2
+            for cause in causes
+            if cause.camera in ("", name, name.partition(EPOCH_MARK)[0])
+        )
         for name in names
     ]
     return float(np.sqrt(max(squares)))
-
-
-def _own(name: str) -> str:
-    """Return the name of a camera without that of its epoch."""
-    return name.partition(EPOCH_MARK)[0]
 
 
 def conclude(
@@ -227,7 +225,7 @@ def _left_open(group: GroupResult) -> Iterator[Cause]:
 
 def _uncorrected(group: GroupResult, faults: Sequence[Fault]) -> Iterator[Cause]:
     """Yield what harms the rig and was not corrected: faults of files, and outlier cameras."""
-    cameras = {_own(name) for name in group.rig.names}
+    cameras = {name.partition(EPOCH_MARK)[0] for name in group.rig.names}
     for fault in faults:
         if fault.camera in cameras and fault.mend is None and fault.word in _HARMFUL:
             meaning = f"{fault.camera}: {fault.says}, which was not corrected"
@@ -284,24 +282,4 @@ def _remedy(group: GroupResult, worst: int, config: Config) -> str:
         return f"record longer: bodies are matched in {count(frames, 'frame')} only"
     if group.uncertainty.weak_perspective[worst]:
         return "let the subject come closer: the camera is far away for the size of its bodies"
-    partners = np.flatnonzero(_partners(group, worst))
-    if len(partners) == 1 and _face(group, worst, int(partners[0])):
-        names = f"{group.rig.names[worst]} and {group.rig.names[partners[0]]}"
-        return f"{names} face each other, and no third camera sees what both do: add one between"
     return "let the subject walk about, nearer to it and in view of other cameras, for longer"
-
-
-def _partners(group: GroupResult, view: int) -> Bools:
-    """Return `[view]` which others see an individual in the same frame as a view does."""
-    labels = group.matches.labels[:, report_frames(group.recording)]
-    individuals = range(group.matches.individuals)
-    sees = np.stack([(labels == each).any(-1) for each in individuals])  # [individual, view, frame]
-    together = np.asarray((sees & sees[:, view : view + 1]).any((0, 2)))
-    together[view] = False
-    return together
-
-
-def _face(group: GroupResult, first: int, second: int) -> bool:
-    """Return whether two views (indices) look at each other."""
-    axes = group.rig.rotation[:, 2]
-    return bool(axes[first] @ axes[second] < np.cos(np.deg2rad(_FACING_DEG)))

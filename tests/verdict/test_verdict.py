@@ -18,7 +18,6 @@ from mocap_calib.results import (
     Clocks,
     Fault,
     GroupResult,
-    Matches,
     Verdict,
 )
 from mocap_calib.types import CameraClock
@@ -179,29 +178,3 @@ def test_reasons_name_the_camera_the_size_and_the_remedy():
     focal = replace(group.uncertainty, intrinsics_turn=np.deg2rad([0, 0, 0, 4.0]))
     (first,) = assess(replace(group, uncertainty=focal), (), CONFIG).reasons
     assert "focal" in first
-
-
-@pytest.mark.slow
-def test_two_cameras_that_face_each_other_want_a_third():
-    """Only where no third sees what both do: the last camera loses all that others see as well."""
-    group = replace(calibrated(), uncertainty=uncertainty(4.2, views=4))
-    opposite = group.rig.rotation.copy()
-    opposite[3] = np.diag([-1.0, 1, -1]) @ opposite[0]
-    adjusted = replace(group.adjusted, rig=replace(group.rig, rotation=opposite))
-    labels = group.matches.labels.copy()
-    labels[1:3, ::2] = -1
-    labels[3, 1::2] = -1
-    facing = replace(group, adjusted=adjusted, matches=Matches(labels))
-    (said,) = assess(facing, (), CONFIG).reasons
-    assert "cam4 and cam1 face each other, and no third camera sees what both do" in said
-    opposite[1] = opposite[0]
-    two = replace(group.adjusted, rig=replace(group.rig, rotation=opposite))
-    labels = labels.copy()
-    labels[1] = group.matches.labels[1]
-    for other in (
-        replace(facing, matches=group.matches),
-        replace(facing, adjusted=group.adjusted),
-        replace(facing, adjusted=two, matches=Matches(labels)),
-    ):
-        (said,) = assess(other, (), CONFIG).reasons
-        assert "face each other" not in said
