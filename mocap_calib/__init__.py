@@ -1,145 +1,21 @@
 """Cameras and 3D poses from the 2D keypoints of moving people and animals.
 
-The names of `__all__` are the library, as far as most programs need it; docs/python.md shows them
-at work. Each is imported when it is first used: `import mocap_calib` itself is quick.
+The names of `__init__.pyi` are the library, as far as most programs need it; docs/python.md shows
+them at work. Each is imported when it is first used: `import mocap_calib` itself is quick.
 """
 
+import re
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from mocap_calib.config import Config
-    from mocap_calib.errors import (
-        ClusterError,
-        DegenerateError,
-        FormatError,
-        MismatchError,
-        MocapCalibError,
-        UnderconstrainedCameraError,
-    )
-    from mocap_calib.front import read_recording, write
-    from mocap_calib.io.cameras.read import read_cameras, read_rig
-    from mocap_calib.io.keypoints.document import ReadOptions
-    from mocap_calib.io.keypoints.read import read_keypoints
-    from mocap_calib.io.poses.read import read_poses
-    from mocap_calib.pipeline import calibrate, match
-    from mocap_calib.recording.corrections import (
-        Cropped,
-        Exchanged,
-        Mirrored,
-        Moved,
-        Refocused,
-        Resized,
-        Rotated,
-        Sides,
-    )
-    from mocap_calib.results import (
-        CalibrationResult,
-        Fault,
-        GroupResult,
-        Matches,
-        Poses3D,
-        Verification,
-        VerifiedCamera,
-    )
-    from mocap_calib.rig.triangulate import triangulate
-    from mocap_calib.synthetic import Scene, simulate
-    from mocap_calib.synthetic.config import SimulateConfig
-    from mocap_calib.types import Camera, CameraRig, Keypoints2D, PosedCamera, Recording
-    from mocap_calib.verdict.evaluation import Evaluation, evaluate
-    from mocap_calib.verdict.verify import verify
+from pathlib import Path
+from typing import Any
 
 __version__ = "0.1.0"
 
-_NAMES = {
-    "config": ("Config",),
-    "errors": (
-        "ClusterError",
-        "DegenerateError",
-        "FormatError",
-        "MismatchError",
-        "MocapCalibError",
-        "UnderconstrainedCameraError",
-    ),
-    "front": ("read_recording", "write"),
-    "io.cameras.read": ("read_cameras", "read_rig"),
-    "io.keypoints.document": ("ReadOptions",),
-    "io.keypoints.read": ("read_keypoints",),
-    "io.poses.read": ("read_poses",),
-    "verdict.evaluation": ("Evaluation", "evaluate"),
-    "rig.triangulate": ("triangulate",),
-    "verdict.verify": ("verify",),
-    "pipeline": ("calibrate", "match"),
-    "recording.corrections": (
-        "Cropped",
-        "Exchanged",
-        "Mirrored",
-        "Moved",
-        "Refocused",
-        "Resized",
-        "Rotated",
-        "Sides",
-    ),
-    "synthetic": ("Scene", "simulate"),
-    "synthetic.config": ("SimulateConfig",),
-    "results": (
-        "CalibrationResult",
-        "Fault",
-        "GroupResult",
-        "Matches",
-        "Poses3D",
-        "Verification",
-        "VerifiedCamera",
-    ),
-    "types": ("Camera", "CameraRig", "Keypoints2D", "PosedCamera", "Recording"),
-}
-_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
+_IMPORT = re.compile(r"^    from (\S+) import (\w+) as", re.M)
+_NAMES = Path(__file__).with_suffix(".pyi").read_text("utf-8")
+_MODULE_OF = {name: module for module, name in _IMPORT.findall(_NAMES)}
 
-__all__ = [
-    "CalibrationResult",
-    "Camera",
-    "CameraRig",
-    "ClusterError",
-    "Config",
-    "Cropped",
-    "DegenerateError",
-    "Evaluation",
-    "Exchanged",
-    "Fault",
-    "FormatError",
-    "GroupResult",
-    "Keypoints2D",
-    "Matches",
-    "Mirrored",
-    "MismatchError",
-    "MocapCalibError",
-    "Moved",
-    "PosedCamera",
-    "Poses3D",
-    "ReadOptions",
-    "Recording",
-    "Refocused",
-    "Resized",
-    "Rotated",
-    "Scene",
-    "Sides",
-    "SimulateConfig",
-    "UnderconstrainedCameraError",
-    "Verification",
-    "VerifiedCamera",
-    "calibrate",
-    "evaluate",
-    "match",
-    "read_cameras",
-    "read_keypoints",
-    "read_poses",
-    "read_recording",
-    "read_rig",
-    "simulate",
-    "triangulate",
-    "verify",
-    "write",
-]
+__all__ = tuple(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:
@@ -147,7 +23,7 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import_module(f"{__name__}.methods")  # binds rig.project, result.plot, ...
-    value = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+    value = getattr(import_module(_MODULE_OF[name]), name)
     globals()[name] = value
     return value
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mocap_calib.geometry.lens import project_points
-from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.notebook.tables import describe_group, describe_result, describe_rig
 from mocap_calib.records import as_array
 from mocap_calib.results import CalibrationResult, GroupResult, Poses3D
@@ -21,7 +20,6 @@ from mocap_calib.types import (
     CameraRig,
     Floats,
     Keypoints2D,
-    PosedCamera,
     Recording,
     intrinsics_of,
 )
@@ -29,11 +27,6 @@ from mocap_calib.types import (
 if TYPE_CHECKING:
     import xarray
     from plotly.graph_objects import Figure
-
-
-def rotation_vectors(posed: PosedCamera | CameraRig) -> Floats:
-    """`[3]` or `[view, 3]` rotation vectors of cam_from_world in radians, as of `cv2.Rodrigues`."""
-    return vector_from_matrix(posed.rotation)
 
 
 def triangulate(
@@ -148,9 +141,7 @@ def plot(found: GroupResult | CalibrationResult, *, moments: int = 60) -> "Figur
 
 
 _BOUND: dict[type[Any], dict[str, Any]] = {
-    PosedCamera: {"rvec": property(rotation_vectors)},
     CameraRig: {
-        "rvec": property(rotation_vectors),
         "project": project_points,
         "triangulate": triangulate,
         "_repr_html_": describe_rig,

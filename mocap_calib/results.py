@@ -26,8 +26,6 @@ from mocap_calib.types import (
     World,
     check_factor,
     check_unit,
-    describe_frames,
-    describe_unit,
     find_name,
     find_views,
 )
@@ -80,11 +78,6 @@ class Clocks(Record):
     given: Ints
     source: Ints
     cameras: tuple[CameraClock, ...]
-
-    def __post_init__(self) -> None:
-        self._hold("clocks", "frames", int, None)
-        self._hold("clocks", "given", int, None)
-        self._hold("clocks", "source", int, len(self.cameras), len(self.frames))
 
     @classmethod
     def of_one(cls, recording: Recording, cameras: Iterable[CameraClock] = ()) -> Self:
@@ -185,12 +178,6 @@ class LiftedPoses(Record):
     centre: Floats
     spread: Floats
 
-    def __post_init__(self) -> None:
-        views, frames, instances, joints = self.body.shape[:4]
-        check_shape("lifted: body", self.body, None, None, None, None, 3)
-        check_shape("lifted: centre", self.centre, views, frames, instances, 3)
-        check_shape("lifted: spread", self.spread, views, frames, instances, joints)
-
     def select(self, views: Ints) -> "LiftedPoses":
         """Return the lifted poses of these views (`[view]` indices) alone, in this order."""
         return LiftedPoses(self.body[views], self.centre[views], self.spread[views])
@@ -256,11 +243,6 @@ class Matches(Record):
     def __post_init__(self) -> None:
         self._hold("matches", "labels", int, None, None, None)
 
-    def __repr__(self) -> str:
-        views, frames, _ = self.labels.shape
-        parts = [count(views, "view"), count(frames, "frame")]
-        return f"Matches({', '.join(parts)}, {count(self.individuals, 'individual')})"
-
     def select(
         self, *, views: Ints | None = None, frames: Ints | None = None, instances: int | None = None
     ) -> "Matches":
@@ -311,11 +293,6 @@ class TimeOffsets(Record):
     tau: Floats
     sigma: Floats
     used: Bools
-
-    def __post_init__(self) -> None:
-        self._hold("time offsets", "tau", float, None)
-        self._hold("time offsets", "sigma", float, len(self.tau))
-        self._hold("time offsets", "used", bool, len(self.tau))
 
     @classmethod
     def unknown(cls, views: int) -> "TimeOffsets":
@@ -539,15 +516,6 @@ class Poses3D(Record):
             object.__setattr__(self, "source", there.astype(np.int8))  # 1: triangulated
         check_shape("poses: source", self.source, *points)
 
-    def __repr__(self) -> str:
-        parts = [
-            describe_frames(self.frames),
-            count(self.positions.shape[1], "individual"),
-            count(len(self.keypoints), "keypoint"),
-            describe_unit(self.unit),
-        ]
-        return f"Poses3D({', '.join(parts)})"
-
     def scale(self, factor: float, unit: str) -> "Poses3D":
         """Return the poses with all lengths multiplied by a factor, which are in `unit` then.
 
@@ -663,12 +631,6 @@ class ObservedPoints(Record):
     view: Ints
     point: Ints
     pixels: Floats
-
-    def __post_init__(self) -> None:
-        self._hold("observed points", "positions", float, None, 3)
-        self._hold("observed points", "view", int, None)
-        self._hold("observed points", "point", int, len(self.view))
-        self._hold("observed points", "pixels", float, len(self.view), 2)
 
     @classmethod
     def none(cls) -> Self:
@@ -837,10 +799,6 @@ class Verification(Record):
     rig: CameraRig
     clocks: Clocks
     provenance: Mapping[str, Any] = field(default_factory=dict, compare=False)
-
-    def __repr__(self) -> str:
-        lines = [f"  {camera.name}: {camera.word}" for camera in self.cameras]
-        return "\n".join([f"Verification: {self.verdict}", *lines])
 
     def __getitem__(self, name: str) -> VerifiedCamera:
         """Return the camera of that name. Raises KeyError."""

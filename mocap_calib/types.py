@@ -10,13 +10,13 @@ docs/conventions.md has the rest.
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mocap_calib import mapped
-from mocap_calib.records import Record, as_array, check_names, check_shape
+from mocap_calib.records import Record, as_array, check_names
 from mocap_calib.wording import count
 
 POSE = 6  # numbers of a change of pose: a turn and a shift
@@ -41,16 +41,6 @@ WorldKind = Literal["not known", "camera", "floor", "file", "landmarks"]
 WORLD_KINDS: tuple[WorldKind, ...] = get_args(WorldKind)
 
 
-T = TypeVar("T")
-R = TypeVar("R")
-
-
-def describe_frames(frames: Ints) -> str:
-    """Return how many frames there are, and from where to where: `200 frames (0 to 199)`."""
-    span = f" ({frames[0]} to {frames[-1]})" if len(frames) else ""
-    return f"{count(len(frames), 'frame')}{span}"
-
-
 def describe_unit(unit: str) -> str:
     """Return in what lengths are."""
     return "arbitrary lengths" if unit == ARBITRARY else f"lengths in {unit}"
@@ -69,26 +59,16 @@ def check_factor(owner: str, factor: float) -> None:
         raise ValueError(f"{owner}: factor: expected a number above 0, got {factor}")
 
 
-class Progress(Protocol):
-    """A callback that takes reports of progress; the library never prints."""
+# takes reports of progress (stage, steps that are done, steps in all); the library never prints
+Progress = Callable[[str, int, int], None]
 
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """Report that `done` of `total` steps of `stage` are finished."""
+# runs independent work in threads, in processes or on other machines: of a function and items,
+# which can be pickled, the results in any order. Items may be taken long before their results come
+Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
 
 def silent(stage: str, done: int, total: int) -> None:
     """Ignore progress: the default."""
-
-
-class Mapper(Protocol):
-    """Runs independent work in threads, in processes or on other machines."""
-
-    def __call__(self, function: Callable[[T], R], items: Iterable[T], /) -> Iterable[R]:
-        """Return `function` of every item, in any order.
-
-        The function and the items can be pickled. Items may be taken long before their results
-        come.
-        """
 
 
 @dataclass(frozen=True)
@@ -198,11 +178,10 @@ class PosedCamera(Camera):
         self._copy(f"camera {self.name}", "rotation", float, 3, 3)
         self._copy(f"camera {self.name}", "translation", float, 3)
 
-    if TYPE_CHECKING:  # bound by `methods`
-
-        @property
-        def rvec(self) -> Floats:
-            """`[3]` rotation vector of cam_from_world in radians, as of `cv2.Rodrigues`."""
+    @property
+    def rvec(self) -> Floats:
+        """`[3]` rotation vector of cam_from_world in radians, as of `cv2.Rodrigues`."""
+        return _rotation_vectors(self.rotation)
 
     @property
     def tvec(self) -> Floats:
@@ -430,11 +409,12 @@ class CameraRig(Record):
         translation, world = factor * self.translation, self.world.scale(factor)
         return replace(self, translation=translation, unit=unit, world=world)
 
-    if TYPE_CHECKING:  # bound by `methods`
+    @property
+    def rvec(self) -> Floats:
+        """`[view, 3]` rotation vectors of cam_from_world in radians."""
+        return _rotation_vectors(self.rotation)
 
-        @property
-        def rvec(self) -> Floats:
-            """`[view, 3]` rotation vectors of cam_from_world in radians."""
+    if TYPE_CHECKING:  # bound by `methods`
 
         def project(self, points: ArrayLike) -> Floats:
             """Return the pixels of points in world coordinates, see `geometry.lens`."""
@@ -470,6 +450,13 @@ def _without_poses(cameras: Iterable[Camera]) -> tuple[Camera, ...]:
 def _intrinsic_fields(camera: Camera) -> dict[str, Any]:
     """Return the fields that all cameras have."""
     return {each.name: getattr(camera, each.name) for each in fields(Camera)}
+
+
+def _rotation_vectors(rotation: Floats) -> Floats:
+    """Return the rotation vectors `[..., 3]` in radians of rotations `[..., 3, 3]`."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - for users alone
+
+    return Rotation.from_matrix(rotation).as_rotvec()
 
 
 def find_views(names: tuple[str, ...], views: Views) -> Ints:
@@ -529,15 +516,6 @@ class Keypoints2D(Record):
         self._hold(self.source, "frames", int, len(self.positions))
         self._hold(self.source, "confidence", float, *self.positions.shape[:3])
 
-    def __repr__(self) -> str:
-        parts = [
-            self.camera,
-            describe_frames(self.frames),
-            f"at most {count(self.positions.shape[1], 'instance')} a frame",
-            count(len(self.keypoints), "keypoint"),
-        ]
-        return f"Keypoints2D({', '.join(parts)})"
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Record):
@@ -571,9 +549,10 @@ class Recording(Record):
         self._hold("recording", "vocabulary", int, keypoints)
 
     def __repr__(self) -> str:
+        span = f" ({self.frames[0]} to {self.frames[-1]})" if len(self.frames) else ""
         parts = [
             count(len(self.cameras), "camera"),
-            describe_frames(self.frames),
+            f"{count(len(self.frames), 'frame')}{span}",
             f"at most {count(self.positions.shape[2], 'instance')} a frame",
             count(len(self.keypoints), "keypoint"),
             f"model {self.model}",
@@ -687,10 +666,6 @@ class Sample(Recording):
     positions: Floats
     confidence: Floats
     rays: Floats
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_shape("sample: rays", self.rays, *self.positions.shape[:4], 3)
 
     @property
     def _by_view_and_frame(self) -> tuple[str, ...]:

@@ -1,6 +1,5 @@
 """`import mocap_calib`: quick, and every name of it there."""
 
-import ast
 import inspect
 import json
 import subprocess
@@ -89,18 +88,6 @@ def test_every_name_resolves(name):
     assert value.__name__ == name
     assert value.__doc__, "what users see first says what it is"
     assert name in dir(mocap_calib)
-
-
-def test_type_checkers_see_the_same_names():
-    tree = ast.parse(Path(mocap_calib.__file__).read_text("utf-8"))
-    block = next(node for node in tree.body if isinstance(node, ast.If))
-    imported = {
-        (alias.name, node.module.removeprefix("mocap_calib."))
-        for node in block.body
-        for alias in node.names
-    }
-    assert imported == set(mocap_calib._MODULE_OF.items())
-    assert {name for name, _ in imported} == set(mocap_calib.__all__)
 
 
 @pytest.mark.parametrize(

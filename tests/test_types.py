@@ -182,15 +182,13 @@ def test_records_print_in_short():
     ]
     assert repr(camera()) == "Camera(cam1, 1280 x 720, f 1005.0 px, no distortion)"
     assert repr(rig["cam1"]).startswith("PosedCamera(cam1, 1280 x 720")
-    assert repr(poses()) == ("Poses3D(2 frames (5 to 6), 1 individual, 2 keypoints, lengths in m)")
+    assert repr(poses()).startswith("Poses3D(keypoints=")
     recording = mc.Recording.from_keypoints(scene().files, scene().rig)
     assert repr(recording) == (
         "Recording(4 cameras, 60 frames (0 to 59), at most 4 instances a frame, 17 keypoints, "
         "model people)"
     )
-    assert repr(mc.Matches(np.zeros((2, 3, 1), int))) == (
-        "Matches(2 views, 3 frames, 1 individual)"
-    )
+    assert repr(mc.Matches(np.zeros((2, 3, 1), int))) == "Matches(labels=int64[2, 3, 1])"
     lifted = LiftedPoses(np.zeros((1, 1, 1, 4, 3)), np.zeros((1, 1, 1, 3)), np.zeros((1, 1, 1, 4)))
     assert repr(lifted).startswith("LiftedPoses(body=float64[1, 1, 1, 4, 3], ")
     adjusted = Adjusted(rig, mc.Matches(np.zeros((2, 3, 1), int)), None, rounds=2, converged=True)
