@@ -20,9 +20,8 @@ from mocap_calib.recording.joints import (
     load_section,
     match_names,
 )
-from mocap_calib.records import Record
 from mocap_calib.results import Poses3D
-from mocap_calib.types import Floats, Ints, Skeleton
+from mocap_calib.types import Floats, Ints, Record, Skeleton
 
 _CONFIG = KinematicsConfig()
 BODY = "body"  # whose speed is that of the trunk

@@ -24,8 +24,7 @@ from mocap_calib.compute.parallel import map_in_threads
 _LARGE = 1 << 24  # bytes; smaller arrays stay in memory
 _ENOUGH = 10_000  # frames that tell what is usual
 _BLOCK = 4096  # frames at a time,
-_AROUND = 1 << 21  # bytes: the system brings in as much around what is read,
-_FAR = 32  # so that from so many places far from each other is read at a time
+_FAR = 32  # where they are far from each other: the system brings in much around each
 
 _maps: WeakSet[mmap.mmap] = WeakSet()
 _maps_lock = Lock()  # threads make arrays while others let go of them
@@ -49,13 +48,6 @@ def empty(shape: Sequence[int], dtype: DTypeLike = np.float64) -> NDArray[Any]:
     with _maps_lock:
         _maps.add(mapped)
     return np.frombuffer(mapped, kind).reshape(shape)
-
-
-def keep(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array `[frame, ...]`, a copy on disk where it is large."""
-    if array.nbytes < _LARGE:
-        return array
-    return in_blocks(lambda block: array[block], len(array))
 
 
 def in_blocks(function: Callable[[slice], Any], frames: int, *, axis: int = 0) -> NDArray[Any]:
@@ -84,8 +76,7 @@ def in_blocks(function: Callable[[slice], Any], frames: int, *, axis: int = 0) -
 def take(array: NDArray[Any], frames: Any, *, axis: int = 0) -> NDArray[Any]:
     """Return an array with some of its frames (indices, a mask or a slice) along an axis alone.
 
-    The system brings in much around each frame, so that far frames are taken a few at a time: each
-    lies in as many places as there are entries of axes that vary more slowly.
+    A few at a time: each lies in as many places as there are entries of the axes before.
     """
     before: tuple[Any, ...] = (slice(None),) * axis
     index = np.asarray(frames) if not isinstance(frames, slice) else None
@@ -93,17 +84,8 @@ def take(array: NDArray[Any], frames: Any, *, axis: int = 0) -> NDArray[Any]:
         return array[(*before, frames)]
     shape = (*array.shape[:axis], len(index), *array.shape[axis + 1 :])
     found = empty(shape, array.dtype)
-    step = abs(array.strides[axis])
-    places = prod(
-        size for size, own in zip(array.shape, array.strides, strict=True) if abs(own) > step
-    )
-    # blocks end where one of these goes up
-    far = np.cumsum(np.diff(index * step // _AROUND, prepend=0) != 0) * places // _FAR
-    far += np.arange(len(index)) // _BLOCK
-    ends = [*(np.flatnonzero(np.diff(far)) + 1).tolist(), len(index)]
-    for start, end in zip([0, *ends], ends, strict=False):
-        found[(*before, slice(start, end))] = array[(*before, index[start:end])]
-        let_go()
+    for rows in frame_slices(len(index), max(1, _FAR // prod(array.shape[:axis]))):
+        found[(*before, rows)] = array[(*before, index[rows])]
     return found
 
 
@@ -124,18 +106,6 @@ def some_frames(array: NDArray[Any]) -> NDArray[Any]:
     Medians and other percentiles need no more.
     """
     return array[:: max(1, -(-len(array) // _ENOUGH))]
-
-
-def finite_values(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the finite values `[N]` of an array `[frame, ...]`, a copy in memory."""
-    count = sum(np.count_nonzero(np.isfinite(array[block])) for block in frame_slices(len(array)))
-    found, start = np.empty(count, array.dtype), 0
-    for block in frame_slices(len(array)):
-        part = array[block]
-        part = part[np.isfinite(part)]
-        found[start : start + len(part)] = part
-        start += len(part)
-    return found
 
 
 def frame_slices(frames: int, size: int = _BLOCK) -> Iterator[slice]:

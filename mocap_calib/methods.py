@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from mocap_calib.geometry.lens import project_points
 from mocap_calib.notebook.tables import describe_group, describe_result, describe_rig
-from mocap_calib.records import as_array
 from mocap_calib.results import CalibrationResult, GroupResult, Poses3D
 from mocap_calib.types import (
     Camera,
@@ -21,6 +20,7 @@ from mocap_calib.types import (
     Floats,
     Keypoints2D,
     Recording,
+    as_array,
     intrinsics_of,
 )
 

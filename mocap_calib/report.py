@@ -255,7 +255,8 @@ def _median_of_means(error: Floats) -> float | None:
 
 def _median_and_p95(values: Floats) -> dict[str, float | None]:
     """Return the median and the 95th percentile of the values that are finite."""
-    values = mapped.finite_values(values)
+    blocks = (values[block] for block in mapped.frame_slices(len(values)))
+    values = np.concatenate([np.zeros(0), *(block[np.isfinite(block)] for block in blocks)])
     if not len(values):
         return {"median": None, "p95": None}
     # in place, as these are a copy already

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from mocap_calib import mapped
 from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config
-from mocap_calib.records import Record, check_shape
 from mocap_calib.types import (
     Bools,
     CameraClock,
@@ -21,10 +20,12 @@ from mocap_calib.types import (
     Floats,
     Ints,
     Reals,
+    Record,
     Recording,
     Views,
     World,
     check_factor,
+    check_shape,
     check_unit,
     find_name,
     find_views,

@@ -21,18 +21,8 @@ def all_on_disk(monkeypatch):
     """Put every array on disk, and cut everything into blocks of 7 frames."""
     monkeypatch.setattr(mapped, "_LARGE", 1)
     monkeypatch.setattr(mapped, "_BLOCK", 7)
-    monkeypatch.setattr(mapped, "_AROUND", 1)
     monkeypatch.setattr(mapped, "_FAR", 3)
     monkeypatch.setattr(mapped.frame_slices, "__defaults__", (7,))
-
-
-class InBlocks(np.ndarray):
-    """An array of 12 numbers a frame of which no more than a block may be read at a time."""
-
-    def __getitem__(self, index):
-        part = super().__getitem__(index)
-        assert np.size(part) <= 7 * 12
-        return part
 
 
 def is_mapped(array: np.ndarray) -> bool:
@@ -94,14 +84,6 @@ def test_far_frames_are_read_by_the_places_that_they_lie_in(monkeypatch):
     array, frames = rng.normal(size=(4, 50, 2)), rng.permutation(50)
     taken = mapped.take(array.view(OfFewPlaces), frames, axis=1)
     np.testing.assert_array_equal(taken, array[:, frames])
-
-
-@pytest.mark.usefixtures("all_on_disk")
-def test_finite_values_are_gathered_a_block_of_frames_at_a_time():
-    values = np.random.default_rng(0).normal(size=(50, 12))
-    values[::3, 1], values[5] = np.nan, np.inf
-    found = mapped.finite_values(values.view(InBlocks))
-    np.testing.assert_array_equal(found, values[np.isfinite(values)])
 
 
 def test_frames_that_follow_each_other_are_a_slice():

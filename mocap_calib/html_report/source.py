@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.records import Record
 from mocap_calib.results import GroupResult, Matches, Poses3D
-from mocap_calib.types import CameraRig, Floats, Recording
+from mocap_calib.types import CameraRig, Floats, Record, Recording
 
 
 @dataclass(frozen=True, eq=False, repr=False)

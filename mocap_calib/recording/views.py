@@ -27,8 +27,16 @@ from mocap_calib.config import (
 )
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.records import as_array, check_names
-from mocap_calib.types import AssumedCamera, Bools, Camera, Ints, Keypoints2D, Reals
+from mocap_calib.types import (
+    AssumedCamera,
+    Bools,
+    Camera,
+    Ints,
+    Keypoints2D,
+    Reals,
+    as_array,
+    check_names,
+)
 from mocap_calib.wording import count
 
 

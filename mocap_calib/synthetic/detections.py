@@ -8,11 +8,10 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.lens import project_points
 from mocap_calib.recording.views import split_by_view
-from mocap_calib.records import Record, check_shape
 from mocap_calib.synthetic.bodies import JOINTS
 from mocap_calib.synthetic.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.synthetic.signals import direction
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, Record, check_shape
 
 Layout = Literal["coco17", "all"]
 

@@ -7,14 +7,13 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.records import Record
 from mocap_calib.synthetic.animals import move_animal
 from mocap_calib.synthetic.bodies import motion_times, move_person
 from mocap_calib.synthetic.config import ANIMAL_MOTION, CAMERA_HEIGHT, ROOM_SIDE, SimulateConfig
 from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoint_files
 from mocap_calib.synthetic.paths import plan_walks
 from mocap_calib.synthetic.rigs import ring_rig
-from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
+from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D, Record
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -20,9 +20,8 @@ from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG, VERDICT_LIMITS_DEG, Con
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import align_by_similarity, gauge_of, rig_size
 from mocap_calib.geometry.rotation import angle_between, direction_angle, vector_from_matrix
-from mocap_calib.records import Record
 from mocap_calib.results import RigCovariance
-from mocap_calib.types import POSE, Bools, CameraRig, Floats, Views
+from mocap_calib.types import POSE, Bools, CameraRig, Floats, Record, Views
 
 # Points on the cameras' axes take part in the alignment, so near to the centres (in spreads of the
 # centres) that they decide only what the centres leave open.

@@ -1,6 +1,6 @@
 """Read keypoint files of any format of `io.keypoints.formats`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -176,14 +176,18 @@ def _name_camera(views: tuple[Keypoints2D, ...], item: Item) -> tuple[Keypoints2
 
 def _in_single_precision(view: Keypoints2D) -> Keypoints2D:
     """Return the view with positions and confidences of 32 bits, half the memory."""
-
-    def halve(array: Reals) -> Reals:
-        return mapped.in_blocks(lambda block: array[block].astype(np.float32), len(array))
-
-    return replace(view, positions=halve(view.positions), confidence=halve(view.confidence))
+    return _copy(view, lambda block: block.astype(np.float32))
 
 
 def _keep(view: Keypoints2D) -> Keypoints2D:
     """Return the view, out of memory where it is long."""
-    positions, confidence = mapped.keep(view.positions), mapped.keep(view.confidence)
-    return replace(view, positions=positions, confidence=confidence)
+    return _copy(view, lambda block: block)
+
+
+def _copy(view: Keypoints2D, change: Callable[[Reals], Reals]) -> Keypoints2D:
+    """Return the view with what becomes of its arrays, block by block."""
+
+    def changed(array: Reals) -> Reals:
+        return mapped.in_blocks(lambda block: change(array[block]), len(array))
+
+    return replace(view, positions=changed(view.positions), confidence=changed(view.confidence))

@@ -17,8 +17,7 @@ from mocap_calib.geometry.rotation import nearest_rotation, turn_between
 from mocap_calib.io.poses.common import PoseFile, known_edges
 from mocap_calib.kinematics import bone_lengths
 from mocap_calib.recording.joints import choose_skeleton, match_names
-from mocap_calib.records import Record
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.types import Bools, Floats, Ints, Record
 
 _HIPS = "hips"  # between left and right, where no keypoint is there
 _ROOTS = ("mid_hip", "croup", "spine_back", "tail_base", "back")  # of the shipped skeletons

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from mocap_calib.io.poses.common import PoseFile, WrittenPoses, refuse_damage
 from mocap_calib.io.units import known_unit
 from mocap_calib.io.world_fields import read_world, world_fields
-from mocap_calib.records import check_shape
 from mocap_calib.results import Poses3D
+from mocap_calib.types import check_shape
 
 _ARRAYS = ("positions", "error", "views", "confidence", "frames")
 _COVARIANCE = "covariance"  # where it is known

@@ -18,8 +18,8 @@ from mocap_calib.io.poses.common import (
     refuse_damage,
 )
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
-from mocap_calib.records import check_shape
 from mocap_calib.results import Poses3D
+from mocap_calib.types import check_shape
 
 _FORMAT = "mocap-calib poses"
 

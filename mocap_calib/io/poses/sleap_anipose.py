@@ -25,7 +25,7 @@ from mocap_calib.io.poses.common import (
     refuse_damage,
 )
 from mocap_calib.io.units import known_unit
-from mocap_calib.records import check_shape
+from mocap_calib.types import check_shape
 
 
 def sniff(content: bytes) -> bool:

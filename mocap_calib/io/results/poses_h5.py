@@ -24,9 +24,8 @@ from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
 from mocap_calib.io.hdf5_packed import write_packed
 from mocap_calib.io.world_fields import read_world, world_fields
-from mocap_calib.records import check_shape
 from mocap_calib.results import POINT_SOURCES, Poses3D
-from mocap_calib.types import World
+from mocap_calib.types import World, check_shape
 
 VERSION = 1
 Edges = Sequence[tuple[int, int]]
