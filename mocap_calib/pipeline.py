@@ -168,7 +168,7 @@ class _Calibrator:
 
     def _calibrate_group(self, observed: Observed) -> GroupResult:
         """Calibrate cameras that see the same bodies: average -> ... -> triangulate."""
-        config, progress, clock = self.config, self.progress, self.clock.continued()
+        config, progress, clock = self.config, self.progress, Clock(self.clock.seconds)
         recording, sample, lifted = observed.recording, observed.sample, observed.lifted
         with clock("average"):
             averaged = average(recording.cameras, observed.pairs, config.averaging)

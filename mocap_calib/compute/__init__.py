@@ -4,7 +4,7 @@ import ctypes
 import hashlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -25,10 +25,13 @@ _CODE = (".py", ".yaml")  # the weights are told apart by `lift.lifter.identify_
 
 
 class Clock:
-    """Wall time by stage: `with clock("lift"): ...` adds to an entry of `seconds`."""
+    """Wall time by stage: `with clock("lift"): ...` adds to an entry of `seconds`.
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+    before: the entries that it goes on from.
+    """
+
+    def __init__(self, before: Mapping[str, float] = {}) -> None:
+        self.seconds = dict(before)
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
@@ -37,12 +40,6 @@ class Clock:
         yield
         spent = time.perf_counter() - start
         self.seconds[stage] = self.seconds.get(stage, 0.0) + spent
-
-    def continued(self) -> "Clock":
-        """Return a clock that goes on from the entries of this one."""
-        clock = Clock()
-        clock.seconds = dict(self.seconds)
-        return clock
 
 
 def keep_freed_memory() -> None:

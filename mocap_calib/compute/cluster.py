@@ -26,6 +26,8 @@ from mocap_calib.errors import ClusterError
 T = TypeVar("T")
 R = TypeVar("R")
 
+# no warning of pieces of more than 10 MB: each is used once
+_LARGE_PIECES = {"distributed.admin.large-graph-warning-threshold": "100 GB"}
 _PATIENCE = "10s"  # until a scheduler answers
 _GONE = (
     "expected a scheduler that answers to the end, found it gone; "
@@ -94,7 +96,7 @@ def cluster(address: str) -> Iterator[Cluster]:
 
     Raises ClusterError where there is no scheduler, and where a certificate is missing.
     """
-    with _large_pieces():
+    with dask.config.set(_LARGE_PIECES):
         try:
             get_address_host_port(address, strict=True)
         except ValueError as error:
@@ -131,11 +133,6 @@ def _answering() -> Iterator[None]:
         yield
     except OSError:
         raise ClusterError(_GONE) from None
-
-
-def _large_pieces() -> dask.config.set:
-    """Silence Dask's warning of pieces of more than 10 MB: here each is used once."""
-    return dask.config.set({"distributed.admin.large-graph-warning-threshold": "100 GB"})
 
 
 def _compute(program: str, work: bytes) -> Any:

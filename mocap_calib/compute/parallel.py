@@ -37,34 +37,11 @@ def thread_count() -> int:
     return at_hand
 
 
-class _Libraries:
-    """BLAS and OpenMP, held to one thread each as long as anything holds them.
-
-    Their number of threads is one for the whole program: only the first who holds them sets it
-    (which looks through all libraries, 4 ms), and only the last gives back what it was.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._holders = 0
-        self._limits = ExitStack()
-
-    def hold(self) -> None:
-        """Hold them, until as many `release` as `hold`."""
-        with self._lock:
-            if not self._holders:
-                self._limits.enter_context(threadpool_limits(1))
-            self._holders += 1
-
-    def release(self) -> None:
-        """Give them their threads again, where nothing else holds them."""
-        with self._lock:
-            self._holders -= 1
-            if not self._holders:
-                self._limits.close()
-
-
-_LIBRARIES = _Libraries()
+# BLAS and OpenMP have one number of threads for the whole program: only the first who holds them
+# sets it (which looks through all libraries, 4 ms), and only the last gives back what it was
+_lock = threading.Lock()
+_holders: list[None] = []
+_limits = ExitStack()
 
 
 @contextmanager
@@ -74,11 +51,17 @@ def single_threaded_libraries() -> Iterator[None]:
     Also the decorator of what Python users call: their arrays are small, and threads that wait for
     each other take twenty times the processor and make sums depend on the machine.
     """
-    _LIBRARIES.hold()
+    with _lock:
+        if not _holders:
+            _limits.enter_context(threadpool_limits(1))
+        _holders.append(None)
     try:
         yield
     finally:
-        _LIBRARIES.release()
+        with _lock:
+            _holders.pop()
+            if not _holders:
+                _limits.close()
 
 
 def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
@@ -142,19 +125,18 @@ def map_in_processes(function: Callable[[Item], Result], items: Iterable[Item]) 
 
 
 class Processes:
-    """Implements `types.Mapper` by processes of this machine, each of which uses one thread."""
+    """Implements `types.Mapper` by processes of this machine, each of which uses one thread.
+
+    threads: how many pieces of work can be done at a time.
+    """
 
     def __init__(self, count: int) -> None:
+        self.threads = count
         self._workers = [Worker() for _ in range(count)]
         self._idle: SimpleQueue[Worker] = SimpleQueue()
         for worker in self._workers:
             self._idle.put(worker)
         self._pool = ThreadPoolExecutor(count)  # a thread waits for the answer of each process
-
-    @property
-    def threads(self) -> int:
-        """Number of pieces of work that can be done at a time."""
-        return len(self._workers)
 
     def __call__(
         self, function: Callable[[Item], Result], items: Iterable[Item], /

@@ -33,7 +33,6 @@ _PROGRAM = (
     "import site, sys; sys.path += sys.argv[1:]; site.main(); "
     f"from {__name__} import serve; serve()"
 )
-_PIPE = 1 << 18  # bytes of an answer that wait to be read; a pipe of Linux has 4 times fewer
 
 
 class WorkerEndedError(Exception):
@@ -121,7 +120,7 @@ def _start() -> "subprocess.Popen[bytes]":
     """Start the process, with BLAS and OpenMP on one thread."""
     environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", *BLAS_THREADS), "1")
     environment.pop("PYTHONPATH", None)  # its folders are in `sys.path`, unless they are ignored
-    process = subprocess.Popen(
+    return subprocess.Popen(
         # -P: not from the folder that one stands in
         [sys.executable, "-P", "-S", "-c", _PROGRAM, *filter(None, sys.path)],
         env=environment,
@@ -129,17 +128,6 @@ def _start() -> "subprocess.Popen[bytes]":
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
     )
-    _widen(cast(BinaryIO, process.stdout))
-    return process
-
-
-def _widen(pipe: BinaryIO) -> None:
-    """Let more bytes wait in a pipe, where the system does: large answers take less time."""
-    if sys.platform == "linux":
-        import fcntl  # noqa: PLC0415 - not on Windows
-
-        with contextlib.suppress(OSError):  # a user may have so much of this memory, and no more
-            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE)
 
 
 def _kill_later(process: "subprocess.Popen[bytes]", cpu_seconds: float) -> threading.Timer:
