@@ -373,7 +373,7 @@ class ResectionConfig:
 class CameraFitConfig:
     """A camera fitted to known points. Loss scales are in standard deviations."""
 
-    loss_scales: tuple[float, ...] = (8.0, 4.0, 2.0)
+    loss_scales: tuple[float, ...] = (4.0, 2.0, 1.0)
     steps: int = 30  # at each loss scale, at most
 
 

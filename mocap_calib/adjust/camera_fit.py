@@ -1,7 +1,7 @@
 """Fit one camera to points that are known: its pose, and what its images or its lens may hide.
 
 x = scale x_taken + shift: images may be resized or cropped against the intrinsics, and the focal
-length may be another. Robust nonlinear least squares (weights of Geman and McClure, by the
+length may be another. Robust nonlinear least squares (Cauchy's loss, by the
 iteration of `solve`) on the pixels as they are, so that the errors of all explanations compare.
 Errors of one joint go together, and those of one stretch of time: what the unknowns are uncertain
 by is measured on these (sandwich covariance, Cameron, Gelbach and Miller 2011), not assumed.
@@ -57,6 +57,33 @@ class CameraPose:
 
 
 @dataclass(frozen=True)
+class CameraPoses:
+    """Poses that a camera may have: cam_from_world.
+
+    rotation: `[pose, 3, 3]`; translation: `[pose, 3]`.
+    """
+
+    rotation: Floats
+    translation: Floats
+
+    def __len__(self) -> int:
+        return len(self.rotation)
+
+    def __getitem__(self, index: Ints | slice) -> "CameraPoses":
+        return CameraPoses(self.rotation[index], self.translation[index])
+
+    def __add__(self, other: "CameraPoses") -> "CameraPoses":
+        return CameraPoses(
+            np.concatenate([self.rotation, other.rotation]),
+            np.concatenate([self.translation, other.translation]),
+        )
+
+    def each(self) -> list[CameraPose]:
+        """Return the poses one by one."""
+        return list(map(CameraPose, self.rotation, self.translation))
+
+
+@dataclass(frozen=True)
 class CameraFit:
     """The pose and the unknowns under which a camera sees points where it does.
 
@@ -70,23 +97,9 @@ class CameraFit:
     covariance: Floats
     error: Floats
 
-    @property
-    def significance(self) -> float:
-        """Squared distance of the unknowns from 0 in standard deviations (Wald's statistic)."""
-        if not len(self.unknowns):
-            return 0.0
-        return float(self.unknowns @ np.linalg.pinv(self.covariance) @ self.unknowns)
-
-    def with_covariance(self, more: Floats) -> "CameraFit":
-        """Return the fit whose unknowns are uncertain for another reason besides.
-
-        more: `[unknown, unknown]`.
-        """
-        return replace(self, covariance=self.covariance + more)
-
 
 @dataclass(frozen=True)
-class _Linearised:
+class LinearisedCamera:
     """residual: `[2, N]` in pixels. jacobian: `[parameter, 2, N]` of turn, shift and unknowns."""
 
     residual: Floats
@@ -106,16 +119,16 @@ def fit_camera(
 
     noise: standard deviation in pixels; errors of several of it count less and less.
     """
-    unknowns = _Unknowns(start, np.zeros(len(free)))
+    unknowns = Unknowns(start, np.zeros(len(free)))
     for width in config.loss_scales:
         unknowns = levenberg_marquardt(
             unknowns,
             partial(_system, camera=camera, seen=seen, free=free, scale=width * noise),
-            _Unknowns.moved,
+            Unknowns.moved,
             tolerance=_TOLERANCE,
             steps=config.steps,
         )
-    found = _linearise(camera, seen, unknowns, free)
+    found = linearise_camera(camera, seen, unknowns, free)
     return CameraFit(
         pose=unknowns.pose,
         unknowns=unknowns.others,
@@ -139,7 +152,7 @@ def shift_of_unknowns(
     noise, free: as for the fit.
     """
     system = _system(
-        _Unknowns(fit.pose, fit.unknowns),
+        Unknowns(fit.pose, fit.unknowns),
         camera=camera,
         seen=seen,
         free=free,
@@ -149,25 +162,25 @@ def shift_of_unknowns(
 
 
 @dataclass(frozen=True)
-class _Unknowns:
+class Unknowns:
     """A pose and `[unknown]` others."""
 
     pose: CameraPose
     others: Floats
 
-    def moved(self, step: Floats) -> "_Unknowns":
+    def moved(self, step: Floats) -> "Unknowns":
         """Return the unknowns after a step `[parameter]`: turn, shift and others."""
         rotation = matrix_from_vector(step[:3]) @ self.pose.rotation
         pose = CameraPose(rotation, self.pose.translation + step[3:POSE])
-        return _Unknowns(pose, self.others + step[POSE:])
+        return Unknowns(pose, self.others + step[POSE:])
 
 
 def _system(
-    unknowns: _Unknowns, *, camera: Camera, seen: Seen, free: tuple[Unknown, ...], scale: float
-) -> System[_Unknowns]:
-    """Return the equations about some unknowns, under Geman and McClure's loss of a scale."""
-    now = _linearise(camera, seen, unknowns, free)
-    cost, weight = _loss(now.residual, scale)
+    unknowns: Unknowns, *, camera: Camera, seen: Seen, free: tuple[Unknown, ...], scale: float
+) -> System[Unknowns]:
+    """Return the equations about some unknowns, under the loss of a scale."""
+    now = linearise_camera(camera, seen, unknowns, free)
+    cost, weight = cauchy_loss(now.residual, scale)
     weighted = now.jacobian * weight
     matrix = np.einsum("pcn,qcn->pq", weighted, now.jacobian)
     return System(
@@ -179,24 +192,24 @@ def _system(
     )
 
 
-def _loss(residual: Floats, scale: float) -> tuple[float, Floats]:
-    """Return Geman and McClure's loss of residuals `[2, N]`, and their weights `[N]`."""
+def cauchy_loss(residual: Floats, scale: float) -> tuple[float, Floats]:
+    """Return Cauchy's loss of residuals `[2, N]`, and their weights `[N]`."""
     square = (residual**2).sum(0) / scale**2
-    return float((square / (1 + square)).sum() * scale**2), 1 / (1 + square) ** 2
+    return float(np.log1p(square).sum() * scale**2), 1 / (1 + square)
 
 
-def _covariance(now: _Linearised, seen: Seen, scale: float) -> Floats:
+def _covariance(now: LinearisedCamera, seen: Seen, scale: float) -> Floats:
     """Return the sandwich covariance `[parameter, parameter]`."""
-    weighted = now.jacobian * _loss(now.residual, scale)[1]
+    weighted = now.jacobian * cauchy_loss(now.residual, scale)[1]
     bread = np.linalg.pinv(np.einsum("pcn,qcn->pq", weighted, now.jacobian))
     scores = np.einsum("pcn,cn->pn", weighted, now.residual)
     filling = scatter_of(scores, seen.block) + scatter_of(scores, seen.keypoint)
     return np.asarray(bread @ filling @ bread)
 
 
-def _linearise(
-    camera: Camera, seen: Seen, now: _Unknowns, free: tuple[Unknown, ...]
-) -> _Linearised:
+def linearise_camera(
+    camera: Camera, seen: Seen, now: Unknowns, free: tuple[Unknown, ...]
+) -> LinearisedCamera:
     """Return residuals and how they move with a turn and a shift of the camera and the unknowns.
 
     What is behind the camera has a large residual and no slope.
@@ -228,7 +241,7 @@ def _linearise(
     # a turn w of the camera's axes moves R X by w x R X
     by_turn = np.cross(turned[:, None], by_shift, axis=0)
     jacobian = np.concatenate([by_turn, by_shift, *(by_unknown[name][None] for name in free)])
-    return _Linearised(np.where(good, residual, _FAR), np.where(good, jacobian, 0.0))
+    return LinearisedCamera(np.where(good, residual, _FAR), np.where(good, jacobian, 0.0))
 
 
 # --- points that other cameras place

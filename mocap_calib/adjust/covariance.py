@@ -134,7 +134,7 @@ def scatter_of(scores: Floats, cluster: Ints) -> Floats:
     scores: `[free, N]`; cluster: `[N]`.
     """
     _, number = np.unique(cluster, return_inverse=True)
-    count = int(number.max()) + 1
+    count = int(number.max(initial=-1)) + 1
     sums = np.stack([np.bincount(number, row, minlength=count) for row in scores])
     return np.asarray(sums @ sums.T * (count / max(count - 1, 1)), dtype=np.float64)
 

@@ -1,120 +1,140 @@
-"""Where one camera stands, given bodies that other cameras place: several poses of it at once.
+"""Find the pose or the projection of one camera, given bodies that other cameras place.
 
 The camera's detections need not be matched to the bodies: a detection counts by the body of its
-frame that fits it best under a pose, and no error counts for more than that of a stranger.
+frame that fits it best, and no error counts for more than that of a stranger.
+
+Poses are proposed by single detections. Where the images may be anything, eleven numbers describe
+how any pinhole camera sees the world, mirrored or not, of any focal length, principal point and
+size of its images: x ~ P X (direct linear transformation; Hartley and Zisserman 2004, section 7.1),
+searched for by hypotheses of a few frames (RANSAC, Fischler and Bolles 1981).
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import CameraPose
-from mocap_calib.config import Config, MovedConfig
-from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation, skew
+from mocap_calib.adjust.camera_fit import (
+    CameraPose,
+    CameraPoses,
+    Seen,
+    Unknowns,
+    cauchy_loss,
+    fit_camera,
+    linearise_camera,
+)
+from mocap_calib.config import LEAST_FORWARD, CameraFitConfig, Config, MovedConfig, ResectionConfig
+from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.kernels.resection import compare
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.observed import PlacedCameras, choose_frames, place_bodies
-from mocap_calib.types import POSE, Bools, Floats, Ints, Sample
+from mocap_calib.types import POSE, Bools, Camera, Floats, Ints, Sample
 
-_UNIT = 0.1  # radians: a tolerance that tells the nearest body from the others
-_RIDGE = 1e-9  # of the diagonal of normal equations
+_UNIT = 0.1  # focal lengths: a tolerance that tells the nearest body from the others
 _REFINED = 8  # poses that are refined, of those that single detections ask for
+_FITS = 0.5  # cost below which a detection may show a body
+_CLEARLY = 0.5  # of the other cost: one of two readings is clearly better
+_LEAST_COMPARED = 3  # joints of a detection and a body that are compared: six of two give eleven
+_PINHOLE = Camera("", (0, 0), np.eye(3))  # whose pixels are focal lengths
+_STEP = CameraFitConfig(loss_scales=(1.0,), steps=1)
 
 
 @dataclass(frozen=True)
 class Sightings:
     """What one camera saw, and the bodies that were there.
 
-    frame: `[detection]` indices of the frames, ascending.
-    rays: `[detection, joint, 3]` unit vectors in the camera's frame, NaN = missing.
+    frame: `[detection]` indices of the frames, ascending; instance: of the detections in these.
+    image: `[detection, joint, 2]` image points without distortion in focal lengths, NaN = missing.
     bodies: `[frame, body, joint, 3]` in world coordinates, NaN = missing.
     """
 
     frame: Ints
-    rays: Floats
+    instance: Ints
+    image: Floats
     bodies: Floats
 
     @property
-    def angular_size(self) -> Floats:
-        """`[detection]` RMS angle in radians of the joints from their centroid."""
-        middle = np.nanmean(self.rays, axis=1, keepdims=True)
-        return np.sqrt(np.nanmean(((self.rays - middle) ** 2).sum(-1), axis=1))
+    def rays(self) -> Floats:
+        """Unit vectors `[detection, joint, 3]` in the camera's frame, NaN = missing."""
+        rays = np.concatenate([self.image, np.ones_like(self.image[..., :1])], axis=-1)
+        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
-    @cached_property
-    def packed(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Rays and bodies as the kernel takes them, each with 1 where a joint is there, else 0.
+    @property
+    def size(self) -> Floats:
+        """`[detection]` RMS distance in focal lengths of the joints from their centroid."""
+        middle = np.nanmean(self.image, axis=1, keepdims=True)
+        return np.sqrt(np.nanmean(((self.image - middle) ** 2).sum(-1), axis=1))
 
-        `[detection, 3, joint]`, `[detection, joint]`, `[frame, body, 3, joint]` and
-        `[frame, body, joint]`.
+    def select(self, index: Ints) -> "Sightings":
+        """Return some of the detections (`[n]` indices)."""
+        return Sightings(self.frame[index], self.instance[index], self.image[index], self.bodies)
+
+    def joints_in_common(self) -> Bools:
+        """Return `[detection, body, joint]` what is known of a detection and of a body."""
+        known = np.isfinite(self.bodies[self.frame, ..., 0])
+        return np.asarray(known & np.isfinite(self.image[:, None, :, 0]))
+
+    def known_points(self, body: Ints, counted: Bools) -> Seen:
+        """Return the joints of bodies (`[detection]` indices) and where they were seen.
+
+        counted: `[detection]` of which these are.
         """
-        rays, bodies = (np.swapaxes(each, -1, -2) for each in (self.rays, self.bodies))
-        seen, known = (np.isfinite(each[..., 0, :]).astype(np.float64) for each in (rays, bodies))
-        rays, seen = contiguous(np.nan_to_num(rays), seen)
-        bodies, known = contiguous(np.nan_to_num(bodies), known)
-        return rays, seen, bodies, known
+        points = self.bodies[self.frame, body]
+        both = np.isfinite(points[..., 0]) & np.isfinite(self.image[..., 0])
+        detection, joint = np.nonzero(both & counted[:, None])
+        return Seen(points[detection, joint], self.image[detection, joint], detection, joint)
 
 
-@dataclass(frozen=True)
-class CameraPoses:
-    """Poses that a camera may have: cam_from_world.
+def sightings_of(rays: Floats, bodies: Floats, least_joints: int = _LEAST_COMPARED) -> Sightings:
+    """Return the detections that a body of their frame has enough joints in common with.
 
-    rotation: `[pose, 3, 3]`; translation: `[pose, 3]`.
+    rays: `[frame, instance, joint, 3]` of one camera; bodies: `[frame, body, joint, 3]`.
     """
-
-    rotation: Floats
-    translation: Floats
-
-    def __len__(self) -> int:
-        return len(self.rotation)
-
-    def __getitem__(self, index: Ints | slice) -> "CameraPoses":
-        return CameraPoses(self.rotation[index], self.translation[index])
-
-    def __add__(self, other: "CameraPoses") -> "CameraPoses":
-        return CameraPoses(
-            np.concatenate([self.rotation, other.rotation]),
-            np.concatenate([self.translation, other.translation]),
-        )
+    image = rays[..., :2] / np.where(rays[..., 2:] > LEAST_FORWARD, rays[..., 2:], np.nan)
+    frame, instance = np.nonzero(np.isfinite(image[..., 0]).sum(-1) >= least_joints)
+    every = Sightings(frame, instance, image[frame, instance], bodies)
+    common = every.joints_in_common().sum(-1).max(-1, initial=0)
+    return every.select(np.flatnonzero(common >= least_joints))
 
 
 @dataclass(frozen=True)
-class Linear:
-    """Least squares of small changes of poses: three angles, three shares of the depth.
+class Compared:
+    """How projections fit detections.
 
-    normal: `[pose, detection, 6, 6]`, target: `[pose, detection, 6]`: A and b of A x = -b.
-    square: `[pose, detection]` the weighed squared error. depth: `[pose]` of the bodies.
-    """
-
-    normal: Floats
-    target: Floats
-    square: Floats
-    depth: Floats
-
-
-@dataclass(frozen=True)
-class _Compared:
-    """How poses fit detections.
-
-    cost: `[pose, detection]` in 0..1, NaN where no body can be compared.
-    body: `[pose, detection]` index of the body that fits best.
+    cost: `[projection, detection]` in 0..1, NaN where no body can be compared.
+    body: `[projection, detection]` index of the body that fits best.
     """
 
     cost: Floats
     body: Ints
 
 
-def sightings_of(rays: Floats, bodies: Floats, least_joints: int) -> Sightings:
-    """Return the detections that a body of their frame has enough joints in common with.
+def compare_projections(
+    projections: Floats, seen: Sightings, tolerance: Floats | float, least_joints: int
+) -> Compared:
+    """Return how projections `[projection, 3, 4]` fit the detections.
 
-    rays: `[frame, instance, joint, 3]` of one camera; bodies: `[frame, body, joint, 3]`.
+    The cost is the mean over joints of q / (1 + q), q = (distance / tolerance)^2: 1 less the weight
+    under Cauchy's loss. tolerance: in the image, of all or of each detection `[detection]`.
     """
-    seen = np.isfinite(rays[..., 0]).astype(np.float64)
-    known = np.isfinite(bodies[..., 0]).astype(np.float64)
-    common = np.einsum("fkj,fij->fki", seen, known).max(-1, initial=0.0)
-    frame, instance = np.nonzero(common >= least_joints)
-    return Sightings(frame, rays[frame, instance], bodies)
+    shape = len(projections), len(seen.frame)
+    cost, body = np.empty(shape), np.empty(shape, dtype=np.int64)
+    image, bodies = np.swapaxes(seen.image, -1, -2), np.swapaxes(seen.bodies, -1, -2)
+    tolerance = np.broadcast_to(tolerance, len(seen.frame)).astype(np.float64)
+    given = contiguous(projections, seen.frame, image, bodies, tolerance)
+    compare(*given, least_joints, cost, body)
+    return Compared(cost, body)
+
+
+# --- poses
+
+
+def compare_poses(
+    poses: CameraPoses, seen: Sightings, tolerance: Floats | float, least_joints: int
+) -> Compared:
+    """Return how poses fit the detections; see `compare_projections`."""
+    projections = np.concatenate([poses.rotation, poses.translation[..., None]], axis=-1)
+    return compare_projections(projections, seen, tolerance, least_joints)
 
 
 def costs_of(
@@ -122,10 +142,9 @@ def costs_of(
 ) -> Floats:
     """Return the cost `[pose, detection]` in 0..1 of detections; NaN where nothing is comparable.
 
-    It is the mean over joints of q / (1 + q), q = (angle / tolerance)^2 (Geman and McClure's).
-    tolerance: radians, of all or of each detection `[detection]`.
+    See `compare_projections`.
     """
-    return _compare(poses, seen, np.broadcast_to(tolerance, len(seen.frame)), least_joints).cost
+    return compare_poses(poses, seen, tolerance, least_joints).cost
 
 
 def propose_poses(start: CameraPoses, seen: Sightings, config: MovedConfig) -> CameraPoses:
@@ -134,19 +153,17 @@ def propose_poses(start: CameraPoses, seen: Sightings, config: MovedConfig) -> C
     start: one pose, whose centre is kept. Each is the rotation that turns one body as seen from
     there into one detection of its frame (Kabsch); of several bodies each has its turn.
     """
-    chosen = evenly_spaced(np.arange(len(seen.frame)), config.hypotheses)
-    bodies, rays = seen.bodies[seen.frame[chosen]], seen.rays[chosen]
-    common = np.isfinite(bodies[..., 0]) & np.isfinite(rays[:, None, :, 0])  # [N, body, joint]
+    some = seen.select(evenly_spaced(np.arange(len(seen.frame)), config.hypotheses))
+    common = some.joints_in_common()
     possible = common.sum(-1) >= config.least_joints
-    every = np.arange(len(chosen))
+    every = np.arange(len(some.frame))
     turn = every % np.maximum(possible.sum(1), 1)
     drawn = (possible & (possible.cumsum(1) == turn[:, None] + 1)).argmax(1)
     centre = -start.rotation[0].T @ start.translation[0]
     used = common[every, drawn][..., None]
-    toward = np.where(used, bodies[every, drawn] - centre, 0.0)
+    toward = np.where(used, some.bodies[some.frame, drawn] - centre, 0.0)
     toward /= np.maximum(np.linalg.norm(toward, axis=-1, keepdims=True), 1e-12)
-    rays = np.where(used, rays, 0.0)
-    rotation = nearest_rotation(np.einsum("nji,njk->nik", rays, toward))
+    rotation = nearest_rotation(np.einsum("nji,njk->nik", np.where(used, some.rays, 0.0), toward))
     return CameraPoses(rotation, -rotation @ centre)
 
 
@@ -160,100 +177,71 @@ def refine_poses(
 ) -> CameraPoses:
     """Return poses of least robust cost, each of its own detections; matched again at each step.
 
-    counted: `[pose, detection]`. tolerances: radians, one for each step.
+    counted: `[pose, detection]`. tolerances: focal lengths, one for each step.
     """
-    every = np.arange(len(seen.frame))
     for tolerance in tolerances:
-        body = _compare(poses, seen, np.full(len(every), tolerance), least_joints).body
-        points = seen.bodies[seen.frame, body]  # [pose, detection, joint, 3]
-        poses = _step(poses, points, seen.rays, counted=counted, tolerance=tolerance)
+        bodies = compare_poses(poses, seen, tolerance, least_joints).body
+        moved = [
+            fit_camera(_PINHOLE, seen.known_points(body, own), pose, _STEP, noise=tolerance).pose
+            for pose, body, own in zip(poses.each(), bodies, counted, strict=True)
+        ]
+        poses = CameraPoses(
+            np.stack([pose.rotation for pose in moved]),
+            np.stack([pose.translation for pose in moved]),
+        )
     return poses
 
 
-def linearise(poses: CameraPoses, seen: Sightings, tolerance: float, least_joints: int) -> Linear:
-    """Return the least-squares problem of poses, of all detections by the bodies that fit best."""
-    every = np.full(len(seen.frame), tolerance)
-    points = seen.bodies[seen.frame, _compare(poses, seen, every, least_joints).body]
-    counted = np.ones((len(poses), len(every)), dtype=bool)
-    return _linearise(poses, points, seen.rays, counted=counted, tolerance=tolerance)
+@dataclass(frozen=True)
+class PoseEquations:
+    """Least squares of a small change of a pose, of each detection: A x = -b.
+
+    normal: `[detection, 6, 6]` A; target: `[detection, 6]` b. square: `[detection]` the weighted
+    squared error.
+    """
+
+    normal: Floats
+    target: Floats
+    square: Floats
+
+
+def linearise(
+    pose: CameraPose, seen: Sightings, tolerance: float, least_joints: int
+) -> PoseEquations:
+    """Return the least-squares problem of a pose, of all detections by the bodies that fit best."""
+    one = CameraPoses(pose.rotation[None], pose.translation[None])
+    body = compare_poses(one, seen, tolerance, least_joints).body[0]
+    known = seen.known_points(body, np.ones(len(body), dtype=bool))
+    found = linearise_camera(_PINHOLE, known, Unknowns(pose, np.zeros(0)), ())
+    _, weight = cauchy_loss(found.residual, tolerance)
+    rows = np.concatenate([found.jacobian, found.residual[None]])
+    total = np.zeros((len(body), POSE + 1, POSE + 1))
+    np.add.at(total, known.block, np.einsum("pcn,qcn,n->npq", rows, rows, weight))
+    # in units that make both halves of the unknowns of one size
+    unit = 1 / np.sqrt(np.maximum(np.diag(total.sum(0)), 1e-300))
+    unit[POSE] = 1.0
+    total *= unit[:, None] * unit
+    return PoseEquations(total[:, :POSE, :POSE], total[:, :POSE, POSE], total[:, POSE, POSE])
 
 
 def typical_error(poses: CameraPoses, seen: Sightings, counted: Bools, least_joints: int) -> float:
-    """Return the median angle in radians of joints from those of their bodies.
+    """Return the median distance in focal lengths of joints from those of their bodies.
 
     Of each body in a frame the detection counts that is nearest to it: others are of strangers.
     counted: `[pose, detection]` the detections of each pose.
     """
-    every = np.full(len(seen.frame), _UNIT)
-    compared = _compare(poses, seen, every, least_joints)
+    compared = compare_poses(poses, seen, _UNIT, least_joints)
     pose, detection = np.nonzero(counted & np.isfinite(compared.cost))
     body, cost = compared.body[pose, detection], compared.cost[pose, detection]
-    order = np.lexsort([cost, body, seen.frame[detection]])
-    pose, detection, body = pose[order], detection[order], body[order]
-    same = (np.diff(seen.frame[detection]) == 0) & (np.diff(body) == 0)
-    nearest = np.append(True, ~same)
+    order = np.argsort(cost, kind="stable")
+    same = np.stack([seen.frame[detection], body])[:, order]
+    nearest = order[np.unique(same, axis=1, return_index=True)[1]]
     pose, detection, body = pose[nearest], detection[nearest], body[nearest]
     points = seen.bodies[seen.frame[detection], body]
     in_camera = np.einsum("nij,nkj->nki", poses.rotation[pose], points)
     in_camera += poses.translation[pose][:, None]
-    unit = in_camera / np.linalg.norm(in_camera, axis=-1, keepdims=True)
-    return float(np.nanmedian(np.linalg.norm(unit - seen.rays[detection], axis=-1)))
-
-
-def _compare(
-    poses: CameraPoses, seen: Sightings, tolerance: Floats, least_joints: int
-) -> _Compared:
-    """Return how poses fit the detections."""
-    shape = len(poses), len(seen.frame)
-    cost, body = np.empty(shape), np.empty(shape, dtype=np.int64)
-    given = contiguous(poses.rotation, poses.translation, seen.frame)
-    compare(*given, *seen.packed, *contiguous(tolerance), least_joints, cost, body)
-    return _Compared(cost, body)
-
-
-def _step(
-    poses: CameraPoses, points: Floats, rays: Floats, *, counted: Bools, tolerance: float
-) -> CameraPoses:
-    """Return the poses after a Gauss-Newton step on unit vectors, reweighted by the loss.
-
-    points: `[pose, detection, joint, 3]` in world coordinates, NaN = missing.
-    """
-    problem = _linearise(poses, points, rays, counted=counted, tolerance=tolerance)
-    normal, target = problem.normal.sum(1), problem.target.sum(1)
-    ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-12
-    change = -np.linalg.solve(normal + ridge * np.eye(POSE), target[..., None])[..., 0]
-    turn = matrix_from_vector(change[:, :3])
-    moved = np.einsum("pij,pj->pi", turn, poses.translation)
-    return CameraPoses(turn @ poses.rotation, moved + problem.depth[:, None] * change[:, 3:])
-
-
-def _linearise(
-    poses: CameraPoses, points: Floats, rays: Floats, *, counted: Bools, tolerance: float
-) -> Linear:
-    """Return the least-squares problem of each detection about poses."""
-    known = np.isfinite(points[..., 0]) & np.isfinite(rays[..., 0]) & counted[..., None]
-    points, rays = np.where(known[..., None], points, 1.0), np.nan_to_num(rays)
-    in_camera = np.matmul(points, np.swapaxes(poses.rotation, 1, 2)[:, None])
-    in_camera += poses.translation[:, None, None]
-    length = np.maximum(np.sqrt((in_camera**2).sum(-1)), 1e-12)
-    unit = in_camera / length[..., None]
-    gap = unit - rays
-    square = (gap**2).sum(-1)
-    weight = known / (1 + square / tolerance**2) ** 2
-    across = (np.eye(3) - unit[..., :, None] * unit[..., None, :]) / length[..., None, None]
-    # translations in units of the depth, so that both halves are of one size
-    depth = np.maximum((weight * length).sum((1, 2)) / np.maximum(weight.sum((1, 2)), 1e-12), 1e-12)
-    # across @ skew(in_camera) is skew(unit): what is along the ray does not turn it
-    slope = np.concatenate([-skew(unit), across * depth[:, None, None, None, None]], axis=-1)
-    number, detections = weight.shape[:2]
-    slope = slope.reshape(number, detections, -1, POSE)
-    weighed = np.swapaxes(np.repeat(weight, 3, axis=2)[..., None] * slope, 2, 3)
-    return Linear(
-        normal=weighed @ slope,
-        target=(weighed @ gap.reshape(number, detections, -1, 1))[..., 0],
-        square=(weight * square).sum(-1),
-        depth=depth,
-    )
+    image = in_camera[..., :2] / in_camera[..., 2:]
+    return float(np.nanmedian(np.linalg.norm(image - seen.image[detection], axis=-1)))
 
 
 def find_lost_camera(
@@ -271,7 +259,7 @@ def find_lost_camera(
         return None
     given = CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
     poses = given + propose_poses(given, seen, settings)
-    widest = settings.loose * float(np.median(seen.angular_size))
+    widest = settings.loose * float(np.median(seen.size))
     cost = np.nanmean(costs_of(poses, seen, widest, settings.least_joints), axis=1)
     poses = poses[np.argsort(cost, kind="stable")[:_REFINED]]
     poses = refine_poses(
@@ -285,4 +273,144 @@ def find_lost_camera(
     best = int(np.nanmean(cost, axis=1).argmin())
     if (cost[best] < settings.explained).mean() < config.verify.least_matched:
         return None
-    return CameraPose(poses.rotation[best], poses.translation[best])
+    return poses.each()[best]
+
+
+# --- any projection
+
+
+@dataclass(frozen=True)
+class Resection:
+    """A projection, and the identities of the detections under it.
+
+    projection: `[3, 4]` P, with P X in front of the camera where its third row is positive.
+    individual: `[detection]` the body that each detection shows, -1 = unmatched.
+    cost: 0..1, mean over the detections of their robust errors; 1 where nothing fits.
+    tolerance: distance in the image at which a joint costs half.
+    """
+
+    projection: Floats
+    individual: Ints
+    cost: float
+    tolerance: float
+
+
+def resect(seen: Sightings, config: ResectionConfig, *, seed: int) -> Resection | None:
+    """Return the projection that most of the detections agree with; None where there is none."""
+    # linear systems of points and image points of unit size are well conditioned (Hartley 1997)
+    to_points, to_image = _unit_size(seen.bodies), _unit_size(seen.image)
+    scene = replace(seen, bodies=_apply(to_points, seen.bodies), image=_apply(to_image, seen.image))
+    frames = np.unique(scene.frame)
+    if len(frames) < config.frames:
+        return None
+    projections = _draw_projections(scene, config, seed=seed)
+    scored = np.isin(scene.frame, evenly_spaced(frames, config.frames_scored))
+    part = scene.select(np.flatnonzero(scored))
+    rough = np.nanmean(
+        compare_projections(projections, part, config.tolerance, _LEAST_COMPARED).cost, axis=1
+    )
+    chosen = np.argsort(rough, kind="stable")[: config.hypotheses_refined]
+    found = [_refine(scene, projections[index], config) for index in chosen]
+    best = min(found, key=lambda each: each.cost)
+    return replace(
+        best,
+        projection=np.linalg.inv(to_image) @ best.projection @ to_points,
+        tolerance=best.tolerance / to_image[0, 0],
+    )
+
+
+def match(seen: Sightings, projection: Floats, tolerance: float) -> tuple[Ints, float]:
+    """Return the body `[detection]` of each detection, and the mean cost of a projection.
+
+    tolerance: distance in the image at which a joint costs half.
+    """
+    found = compare_projections(projection[None], seen, tolerance, _LEAST_COMPARED)
+    cost = np.nan_to_num(found.cost[0], nan=1.0)
+    return np.where(cost < _FITS, found.body[0], -1), float(cost.mean())
+
+
+def exchanged_share(seen: Sightings, exchanged: Sightings, resection: Resection) -> float:
+    """Return the share of the detections that fit with exchanged sides alone.
+
+    exchanged: the same detections with their sides exchanged. Those that fit with neither, or about
+    as well with both, are not counted.
+    """
+    given, other = (
+        compare_projections(
+            resection.projection[None], each, resection.tolerance, _LEAST_COMPARED
+        ).cost[0]
+        for each in (seen, exchanged)
+    )
+    as_given = ((given < _FITS) & (given < _CLEARLY * other)).sum()
+    as_other = ((other < _FITS) & (other < _CLEARLY * given)).sum()
+    return float(as_other) / max(int(as_given + as_other), 1)
+
+
+def _unit_size(values: Floats) -> Floats:
+    """Return the similarity `[C + 1, C + 1]` to a unit size about the median of `[..., C]`."""
+    flat = values.reshape(-1, values.shape[-1])
+    flat = flat[np.isfinite(flat).all(-1)]
+    similarity = np.eye(values.shape[-1] + 1)
+    if len(flat):
+        middle = np.median(flat, axis=0)
+        similarity[:-1] /= max(float(np.median(np.linalg.norm(flat - middle, axis=-1))), 1e-12)
+        similarity[:-1, -1] = -similarity[0, 0] * middle
+    return similarity
+
+
+def _apply(similarity: Floats, values: Floats) -> Floats:
+    """Return vectors `[..., C]` after a similarity."""
+    return values * similarity[0, 0] + similarity[:-1, -1]
+
+
+def _draw_projections(scene: Sightings, config: ResectionConfig, *, seed: int) -> Floats:
+    """Return projections `[hypothesis, 3, 4]`, each of a few matches that may be right."""
+    rng = np.random.default_rng(seed)
+    _, first, count = np.unique(scene.frame, return_index=True, return_counts=True)
+    picks = rng.random((config.hypotheses, len(first))).argsort(1)[:, : config.frames]
+    shape = picks.shape
+    detection = first[picks] + (rng.random(shape) * count[picks]).astype(np.int64)
+    possible = scene.joints_in_common().sum(-1) >= _LEAST_COMPARED
+    chance = rng.random((*shape, possible.shape[1])) * possible[detection]
+    points = scene.bodies[scene.frame[detection], chance.argmax(-1)]
+    points = points.reshape(config.hypotheses, -1, 3)
+    image = scene.image[detection].reshape(config.hypotheses, -1, 2)
+    return _solve(points, image, np.ones(points.shape[:-1]))
+
+
+def _solve(points: Floats, image: Floats, weight: Floats) -> Floats:
+    """Return the projections `[..., 3, 4]` with x ~ P X, most points in front.
+
+    points: `[..., N, 3]`; image: `[..., N, 2]`; NaN = missing. weight: `[..., N]`.
+    """
+    both = np.isfinite(points[..., 0]) & np.isfinite(image[..., 0])
+    root = np.sqrt(np.where(both, weight, 0.0))[..., None]
+    point = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
+    point, image = (np.where(both[..., None], each, 0.0) for each in (point, image))
+    none = np.zeros_like(point)
+    across = root * np.concatenate([point, none, -image[..., :1] * point], axis=-1)
+    down = root * np.concatenate([none, point, -image[..., 1:] * point], axis=-1)
+    system = np.swapaxes(across, -1, -2) @ across + np.swapaxes(down, -1, -2) @ down
+    projection = np.linalg.eigh(system)[1][..., 0].reshape(*system.shape[:-2], 3, 4)
+    depth = (point @ projection[..., 2, :, None])[..., 0]
+    sign = np.where(np.sign(depth).sum(-1) < 0, -1.0, 1.0)
+    return np.asarray(sign[..., None, None] * projection)
+
+
+def _refine(scene: Sightings, projection: Floats, config: ResectionConfig) -> Resection:
+    """Return the projection after rounds of matching and solving for what fits.
+
+    The errors are algebraic, which is enough for a start: weights undo their scale with depth.
+    """
+    for _ in range(config.rounds):
+        individual, _ = match(scene, projection, config.tolerance)
+        if (individual < 0).all():
+            break
+        known = scene.known_points(individual, individual >= 0)
+        seen = known.points @ projection[:, :3].T + projection[:, 3]
+        depth = np.where(seen[:, 2] > 1e-9, seen[:, 2], np.nan)
+        error = seen[:, :2] / depth[:, None] - known.pixels
+        square = (error**2).sum(-1) / config.tolerance**2
+        weight = np.nan_to_num(1 / (1 + square) / depth**2)
+        projection = _solve(known.points, known.pixels, weight)
+    return Resection(projection, *match(scene, projection, config.tolerance), config.tolerance)

@@ -11,8 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from mocap_calib.adjust.camera_fit import CameraPoses
 from mocap_calib.adjust.resection import (
-    CameraPoses,
     Sightings,
     costs_of,
     linearise,
@@ -52,10 +52,10 @@ def find_epochs(
 
     start: the pose in the rig. least_noise: radians, below which no detector is.
     """
-    loose = config.loose * float(np.median(seen.angular_size))
+    loose = config.loose * float(np.median(seen.size))
     found = [_refine(np.zeros(0, np.int64), start, seen, config, (loose, least_noise))]
     proposed = start + propose_poses(start, seen, config)
-    costs = costs_of(proposed, seen, config.loose * seen.angular_size, config.least_joints)
+    costs = costs_of(proposed, seen, config.loose * seen.size, config.least_joints)
     for _ in range(config.most_changes + 1):
         tried = []
         for split in _propose_splits(found[-1], proposed, costs, seen, config):
@@ -88,11 +88,11 @@ def change_at_a_glance(start: CameraPoses, seen: Sightings, config: MovedConfig)
     detections, least = len(seen.frame), _least(seen, config)
     if detections < 2 * least:
         return 0.0
-    tolerance = config.loose * float(np.median(seen.angular_size))
-    problem = linearise(start, seen, tolerance, config.least_joints)
-    normal, target = problem.normal[0], problem.target[0]
+    tolerance = config.loose * float(np.median(seen.size))
+    problem = linearise(start.each()[0], seen, tolerance, config.least_joints)
+    normal, target = problem.normal, problem.target
     gains, moments = split_gains(normal, target, 0, detections, least)
-    left = problem.square[0].sum() - _explained(normal.sum(0), target.sum(0))
+    left = problem.square.sum() - _explained(normal.sum(0), target.sum(0))
     cost = costs_of(start, seen, tolerance, config.least_joints)[0].cumsum()
     before, after = (
         cost[moments - 1] / moments,
@@ -217,8 +217,8 @@ def _small_split(
 ) -> _Split:
     """Return the best split of an epoch by small steps from its pose."""
     pose = epochs.poses[epoch : epoch + 1]
-    problem = linearise(pose, seen, epochs.tolerance, config.least_joints)
-    gains, moments = split_gains(problem.normal[0], problem.target[0], *span, least)
+    problem = linearise(pose.each()[0], seen, epochs.tolerance, config.least_joints)
+    gains, moments = split_gains(problem.normal, problem.target, *span, least)
     best = int(gains.argmax())
     return _Split(float(gains[best]), epoch, int(moments[best]), pose + pose, False)
 

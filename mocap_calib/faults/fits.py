@@ -12,16 +12,17 @@ from mocap_calib.adjust.camera_fit import (
     fit_camera,
     shift_of_unknowns,
 )
-from mocap_calib.adjust.projection_search import (
+from mocap_calib.adjust.resection import (
     Resection,
-    Sighting,
-    decompose,
+    Sightings,
     exchanged_share,
     resect,
+    sightings_of,
 )
 from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.faults.hypotheses import Hypothesis, list_hypotheses
 from mocap_calib.faults.leave_one_out import OtherCameras, nearest_quarter, rolls
+from mocap_calib.geometry.lens import decompose_projection
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.observed import Observed
@@ -77,8 +78,8 @@ def fit_hypotheses(
     if not resections:
         return [], 0.0
     best = min(resections.values(), key=lambda each: each.cost)
-    frame, instance = np.nonzero(best.individual >= 0)
-    if len(frame) < diagnosis.least_matched * _count_comparable(sightings[False]):
+    matched = sightings[False].select(np.flatnonzero(best.individual >= 0))
+    if len(matched.frame) < diagnosis.least_matched * len(best.individual):
         return [], 0.0
     turn = _quarter_turn(others, best, sample.cameras[view], diagnosis)
     tried = [
@@ -86,8 +87,8 @@ def fit_hypotheses(
         for each in list_hypotheses(sample, view)
         if not each.name.startswith("rotated") or each.name == f"rotated {turn}"
     ]
-    bodies = frame, best.individual[frame, instance]
-    seen, source = _seen_by(tried, others, bodies, instance, diagnosis)
+    bodies = matched.frame, best.individual[best.individual >= 0]
+    seen, source = _seen_by(tried, others, bodies, matched.instance, diagnosis)
     if len(source) < diagnosis.least_keypoints:
         return [], 0.0
     starts = {sides: resections.get(sides, best) for sides in (False, True)}
@@ -95,38 +96,26 @@ def fit_hypotheses(
     return _fit_all(tried, seen, source, (starts, best, in_rig), diagnosis), share
 
 
-def _count_comparable(sighting: Sighting) -> int:
-    """Return the number of detections in frames of which the others place a body."""
-    known = np.isfinite(sighting.points[..., 0]).any((1, 2))
-    return int(np.isfinite(sighting.image[known][..., 0]).any(-1).sum())
-
-
-def _sightings(observed: Observed, view: int, others: OtherCameras) -> dict[bool, Sighting]:
+def _sightings(observed: Observed, view: int, others: OtherCameras) -> dict[bool, Sightings]:
     """Return what a camera saw of the others' points, by whether its sides are exchanged.
 
     Without the given lens distortion, which is nearly right for all hypotheses.
     """
-    camera = observed.recording.cameras[view]
-    rays = observed.sample.rays[view, others.frames]
-    forward = np.where(rays[..., 2:] > 0.15, rays[..., 2:], np.nan)  # not beside the camera
-    image = rays[..., :2] / forward * camera.focal + camera.matrix[:2, 2]
+    seen = sightings_of(observed.sample.rays[view, others.frames], others.points)
     order = exchanged_sides(observed.recording.keypoints)
-    return {
-        False: Sighting(others.points, image),
-        True: Sighting(others.points, image[:, :, order]),
-    }
+    return {False: seen, True: replace(seen, image=seen.image[:, order])}
 
 
 def _quarter_turn(
     others: OtherCameras, best: Resection, camera: Camera, config: DiagnosisConfig
 ) -> int:
     """Return the quarter turn (degrees) by which the camera's images are rotated, 0 = none."""
-    rig, pose = others.rig, decompose(best.projection)
+    rig, (_, rotation, translation) = others.rig, decompose_projection(best.projection)
     with_camera = replace(
         rig,
         cameras=(*rig.cameras, camera),
-        rotation=np.concatenate([rig.rotation, pose.rotation[None]]),
-        translation=np.concatenate([rig.translation, pose.translation[None]]),
+        rotation=np.concatenate([rig.rotation, rotation[None]]),
+        translation=np.concatenate([rig.translation, translation[None]]),
     )
     return int(nearest_quarter(rolls(with_camera, config), config)[-1])
 
@@ -250,7 +239,8 @@ def add_rig_uncertainty(
     by_rig = np.array(
         [times * (shift(points.reshape(-1, 3)[fitted.source]) - rest) for times, points in bent]
     )
-    return replace(fitted, fit=fitted.fit.with_covariance(by_rig.T @ by_rig))
+    covariance = fitted.fit.covariance + by_rig.T @ by_rig
+    return replace(fitted, fit=replace(fitted.fit, covariance=covariance))
 
 
 def _starts(resection: Resection, points: Floats) -> tuple[CameraPose, CameraPose]:
@@ -259,12 +249,12 @@ def _starts(resection: Resection, points: Floats) -> tuple[CameraPose, CameraPos
     The second looks from the opposite side at what is mirrored: where perspective is weak, one
     passes for the other (the reversal of Necker's cube).
     """
-    found = decompose(resection.projection)
+    found = CameraPose(*decompose_projection(resection.projection)[1:])
     middle = np.median(points, axis=0)
     opposite = np.diag([-1.0, 1.0, -1.0]) @ found.rotation
     seen = found.rotation @ middle + found.translation
     translation = seen * np.array([-1.0, 1.0, 1.0]) - opposite @ middle
-    return CameraPose(found.rotation, found.translation), CameraPose(opposite, translation)
+    return found, CameraPose(opposite, translation)
 
 
 def _costs(fit: CameraFit, noise: float) -> Floats:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.adjust.resection import CameraPoses, Sightings, sightings_of
+from mocap_calib.adjust.camera_fit import CameraPoses
+from mocap_calib.adjust.resection import Sightings, sightings_of
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config, MovedConfig
 from mocap_calib.faults.changes import (

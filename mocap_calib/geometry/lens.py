@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import rq
 
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LENS_MISS_PX
@@ -236,3 +237,21 @@ def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: 
     pose = np.concatenate([rig.rotation, rig.translation[:, :, None]], axis=2)
     kernels.reprojection_errors(*contiguous(pose, rows(rig.cameras), points, pixels, used), error)
     return error
+
+
+def decompose_projection(projection: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return K `[3, 3]`, R `[3, 3]` and t `[3]` of P = K [R t] `[3, 4]`, by RQ decomposition.
+
+    The second and third diagonal elements of K are positive; the first is negative where the image
+    is mirrored. The sign of P is taken as it is: what is in front of the camera has a positive
+    third coordinate.
+    """
+    matrix, rotation = rq(projection[:, :3])
+    sign = np.sign(np.diag(matrix))
+    matrix, rotation = matrix * sign, sign[:, None] * rotation
+    if np.linalg.det(rotation) < 0:
+        flip = np.array([-1.0, 1.0, 1.0])
+        matrix, rotation = matrix * flip, flip[:, None] * rotation
+    translation = np.linalg.solve(matrix, projection[:, 3])
+    matrix = matrix / matrix[2, 2]
+    return np.asarray(matrix), np.asarray(rotation, dtype=np.float64), np.asarray(translation)

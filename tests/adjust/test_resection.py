@@ -1,73 +1,271 @@
-"""The least squares of a camera's pose, held to its definition."""
+"""The pose and the projection of a camera from points that others know."""
 
 import numpy as np
+import pytest
 from oracles import adjust as oracle
 
-from mocap_calib.adjust import resection
-from mocap_calib.adjust.resection import CameraPoses, Sightings, _linearise, costs_of
-from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.adjust import camera_fit
+from mocap_calib.adjust.camera_fit import CameraPose, CameraPoses, Seen, fit_camera
+from mocap_calib.adjust.resection import (
+    Sightings,
+    compare_projections,
+    costs_of,
+    exchanged_share,
+    linearise,
+    match,
+    refine_poses,
+    resect,
+    sightings_of,
+)
+from mocap_calib.config import CameraFitConfig, ResectionConfig
+from mocap_calib.geometry.lens import decompose_projection, pixels_from_points
+from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
+from mocap_calib.types import Camera
+
+MATRIX = np.array([[900.0, 0.0, 630.0], [0.0, 910.0, 350.0], [0.0, 0.0, 1.0]])
+CAMERA = Camera("c", (1280, 720), MATRIX, np.array([-0.2, 0.1, 0.001, -0.002, 0.0]))
+POSE = CameraPose(matrix_from_vector(np.array([0.1, 0.7, -0.2])), np.array([0.3, -0.1, 5.0]))
 
 
-def test_detections_count_by_how_far_they_are_off_in_tolerances():
-    """The weight is 1 / (1 + (gap / tolerance)^2)^2: of its scale, and of no other."""
-    rng = np.random.default_rng(0)
-    poses = CameraPoses(matrix_from_vector(np.array([[0.1, 0.4, 0.0]])), np.array([[0.2, 0, 5.0]]))
-    points = rng.normal(0, 0.5, (1, 3, 7, 3))
-    in_camera = points @ poses.rotation[0].T + poses.translation[0]
-    unit = in_camera / np.linalg.norm(in_camera, axis=-1, keepdims=True)
-    rays = unit + rng.normal(0, 0.03, unit.shape)
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    counted = np.array([[True, True, False]])
-    for tolerance in (0.02, 0.05):
-        found = _linearise(poses, points, rays, counted=counted, tolerance=tolerance)
-        square = ((unit - rays) ** 2).sum(-1)
-        weight = counted[..., None] / (1 + square / tolerance**2) ** 2
-        np.testing.assert_allclose(found.square, (weight * square).sum(-1), rtol=1e-9)
-        length = np.linalg.norm(in_camera, axis=-1)
-        np.testing.assert_allclose(found.depth, (weight * length).sum() / weight.sum(), rtol=1e-9)
+def bodies(frames=40, individuals=1, keypoints=12, seed=0):
+    rng = np.random.default_rng(seed)
+    body = 0.5 * rng.normal(size=(individuals, keypoints, 3))
+    place = rng.uniform(-1.2, 1.2, size=(frames, individuals, 1, 3))
+    return body + place + 0.1 * rng.normal(size=(frames, individuals, keypoints, 3))
 
 
-def test_the_slope_is_the_change_of_the_gap():
-    """A change of the pose by the unknowns of the problem, against differences."""
+def project(points, matrix=MATRIX, pose=POSE):
+    seen = (points @ pose.rotation.T + pose.translation) @ matrix.T
+    return seen[..., :2] / seen[..., 2:]
+
+
+def sighting(points, image):
+    """Return the detections `[frame, instance, keypoint, 2]` that show anything."""
+    frame, instance = np.nonzero(np.isfinite(image[..., 0]).any(-1))
+    return Sightings(frame, instance, image[frame, instance], points)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_decompose_returns_the_intrinsics_and_the_pose_of_a_projection(mirrored):
+    matrix = MATRIX * np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    projection = 3.7 * matrix @ np.column_stack([POSE.rotation, POSE.translation])
+    found, rotation, translation = decompose_projection(projection)
+    np.testing.assert_allclose(found, matrix, rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(rotation, POSE.rotation, atol=1e-12)
+    np.testing.assert_allclose(translation, POSE.translation, atol=1e-10)
+
+
+@pytest.mark.parametrize("individuals", [1, 3])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_exact_points_give_the_exact_projection_whoever_is_who(individuals, mirrored):
+    points = bodies(individuals=individuals)
+    matrix = MATRIX * np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
     rng = np.random.default_rng(1)
-    rotation = matrix_from_vector(np.array([[0.3, -0.2, 0.1]]))
-    poses = CameraPoses(rotation, np.array([[0.1, -0.3, 4.0]]))
-    points, rays = rng.normal(0, 0.5, (1, 1, 9, 3)), rng.normal(0, 0.1, (1, 1, 9, 3)) + [0, 0, 1]
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    one = np.ones((1, 1), bool)
-    start = _linearise(poses, points, rays, counted=one, tolerance=1e6)
-    step = 1e-6
-    for k in range(6):
-        change = step * np.eye(6)[k]
-        turn = matrix_from_vector(change[None, :3])
-        moved = np.einsum("pij,pj->pi", turn, poses.translation) + start.depth * change[3:]
-        near = _linearise(
-            CameraPoses(turn @ rotation, moved), points, rays, counted=one, tolerance=1e6
-        )
-        slope = (near.square - start.square) / (2 * step)
-        np.testing.assert_allclose(slope, start.target[..., k], rtol=1e-4, atol=1e-5)
+    order = np.array([rng.permutation(individuals) for _ in points])
+    image = np.take_along_axis(project(points, matrix), order[..., None, None], axis=1)
+    found = resect(sighting(points, image), ResectionConfig(), seed=0)
+    parts, rotation, _ = decompose_projection(found.projection)
+    np.testing.assert_allclose(parts, matrix, rtol=1e-4, atol=0.1)
+    assert angle_between(rotation, POSE.rotation) < 1e-4
+    np.testing.assert_array_equal(found.individual, order.ravel())
+    assert found.cost < 1e-3
 
 
-def test_the_kernel_compares_as_its_definition_does():
-    """Joints missing on either side, bodies that are not there, and too few joints in common."""
+def test_detections_show_whom_they_fit_or_nobody():
+    """Two of three are detected in each frame, and once somebody who is not known."""
+    points = bodies(frames=6, individuals=3)
+    shown = np.array([[2, 0]] * 5 + [[1, -1]])
+    image = np.take_along_axis(project(points), shown[..., None, None], axis=1)
+    image[5, 1] += 400.0
+    projection = MATRIX @ np.column_stack([POSE.rotation, POSE.translation])
+    found, cost = match(sighting(points, image), projection, tolerance=5.0)
+    assert found.tolist() == shown.ravel().tolist()
+    assert cost == pytest.approx(1 / 12, abs=0.01)
+
+
+def test_a_third_of_wrong_detections_and_noise_do_not_matter():
+    points = bodies(frames=80)
     rng = np.random.default_rng(2)
-    poses = CameraPoses(
-        matrix_from_vector(rng.normal(0, 0.3, (6, 3))), rng.normal(0, 0.3, (6, 3)) + [0, 0, 4]
+    image = project(points) + 2 * rng.normal(size=(80, 1, 12, 2))
+    image[::3] = rng.uniform((0, 0), (1280, 720), size=image[::3].shape)
+    resection = resect(sighting(points, image), ResectionConfig(), seed=0)
+    found, rotation, _ = decompose_projection(resection.projection)
+    # measured: 0.4 deg and 1 %
+    assert np.degrees(angle_between(rotation, POSE.rotation)) < 2.0
+    np.testing.assert_allclose(np.diag(found)[:2], [900, 910], rtol=0.05)
+
+
+def test_frames_count_that_do_not_show_everybody():
+    """One of three subjects is seen in each frame, and in half of the frames something else."""
+    points, rng = bodies(frames=80, individuals=3), np.random.default_rng(3)
+    shown = rng.integers(3, size=80)
+    image = np.full((80, 2, 12, 2), np.nan)
+    image[:, 0] = project(points)[np.arange(80), shown]
+    image[::2, 0] = rng.uniform((0, 0), (1280, 720), size=(40, 12, 2))
+    found = resect(sighting(points, image), ResectionConfig(), seed=0)
+    np.testing.assert_allclose(
+        decompose_projection(found.projection)[0], MATRIX, rtol=1e-3, atol=1.0
     )
-    bodies = rng.normal(0, 0.6, (5, 4, 11, 3))
-    bodies[rng.random((5, 4, 11)) < 0.3] = np.nan
-    bodies[2, 1:] = np.nan
-    bodies[3] = np.nan
-    frame = np.sort(rng.integers(0, 5, 40))
-    rays = rng.normal(0, 0.2, (40, 11, 3)) + [0, 0, 1]
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    rays[rng.random((40, 11)) < 0.3] = np.nan
-    seen = Sightings(frame, rays, bodies)
-    tolerance = rng.uniform(0.02, 0.3, 40)
-    found = resection._compare(poses, seen, tolerance, 4)
-    assert np.isnan(found.cost).any()
-    assert len(np.unique(found.body)) == 4
-    cost, body = oracle.compare_poses(poses.rotation, poses.translation, seen, tolerance, 4)
-    np.testing.assert_allclose(found.cost, cost, rtol=1e-11)
+    np.testing.assert_array_equal(found.individual[1::2], shown[1::2])
+
+
+def test_without_enough_frames_there_is_no_projection():
+    points = bodies(frames=1)
+    assert resect(sighting(points, project(points)), ResectionConfig(), seed=0) is None
+    nothing = np.full((1, 1, 12, 2), np.nan)
+    assert resect(sighting(points, nothing), ResectionConfig(), seed=0) is None
+
+
+def test_the_share_of_exchanged_sides_is_counted():
+    points = bodies(frames=80)
+    order = np.array([1, 0, 3, 2, 5, 4, *range(6, 12)])
+    image = project(points)
+    image[::4] = image[::4][:, :, order]
+    given, exchanged = sighting(points, image), sighting(points, image[:, :, order])
+    found = resect(given, ResectionConfig(), seed=0)
+    assert exchanged_share(given, exchanged, found) == pytest.approx(0.25, abs=0.03)
+
+
+def seen_of(points, pixels):
+    number = np.arange(len(points))
+    return Seen(points, pixels, number * 10 // len(points), number % 12)
+
+
+@pytest.mark.parametrize(
+    ("free", "values", "tolerance"),
+    [
+        (("log_scale",), [np.log(0.5)], 1e-6),
+        (("x", "y"), [-150.0, -80.0], 1e-3),
+        (("log_focal",), [0.3], 1e-6),
+        ((), [], 0.0),
+    ],
+)
+def test_what_images_hide_is_found_from_exact_points(free, values, tolerance):
+    points = bodies().reshape(-1, 3)
+    value = dict(zip(free, values, strict=True))
+    matrix = MATRIX.copy()
+    matrix[[0, 1], [0, 1]] *= np.exp(value.get("log_focal", 0.0))
+    taken = Camera("c", CAMERA.size, matrix, CAMERA.distortion)
+    pixels = pixels_from_points(taken, points @ POSE.rotation.T + POSE.translation)
+    pixels = np.exp(value.get("log_scale", 0.0)) * pixels
+    pixels += (value.get("x", 0.0), value.get("y", 0.0))
+    start = CameraPose(
+        matrix_from_vector(np.array([0.0, 0.1, 0.05])) @ POSE.rotation,
+        POSE.translation + (0.1, 0.0, 0.3),
+    )
+    found = fit_camera(
+        CAMERA, seen_of(points, pixels), start, CameraFitConfig(), noise=20.0, free=free
+    )
+    np.testing.assert_allclose(found.unknowns, values, atol=max(tolerance, 1e-12))
+    assert angle_between(found.pose.rotation, POSE.rotation) < 1e-6
+    assert found.error.max() < 1e-3
+
+
+def test_the_uncertainty_of_a_crop_covers_its_error():
+    """Wald's statistic of the errors of two unknowns is 2 on average; 30 draws: 2 +- 0.4."""
+    points = bodies().reshape(-1, 3)
+    in_camera = points @ POSE.rotation.T + POSE.translation
+    statistics = []
+    for seed in range(30):
+        noise = 2 * np.random.default_rng(seed).normal(size=(len(points), 2))
+        pixels = pixels_from_points(CAMERA, in_camera) + noise
+        found = fit_camera(
+            CAMERA, seen_of(points, pixels), POSE, CameraFitConfig(), noise=2.0, free=("x", "y")
+        )
+        statistics.append(found.unknowns @ np.linalg.solve(found.covariance, found.unknowns))
+    assert 0.8 < np.mean(statistics) < 4.0
+
+
+def test_slopes_of_what_a_camera_sees_are_those_of_differences():
+    """Of a turn, a shift, and all that its images may hide; pixels by radians, metres and so on."""
+    points = bodies(frames=3).reshape(-1, 3)
+    seen, free = seen_of(points, np.zeros((len(points), 2))), ("log_scale", "x", "y", "log_focal")
+    at, step = np.array([0.1, 20.0, -30.0, 0.05]), 1e-5
+
+    def residual(change):
+        turn = matrix_from_vector(change[:3])
+        pose = CameraPose(turn @ POSE.rotation, POSE.translation + change[3:6])
+        return camera_fit.linearise_camera(
+            CAMERA, seen, camera_fit.Unknowns(pose, at + change[6:]), free
+        ).residual
+
+    found = camera_fit.linearise_camera(CAMERA, seen, camera_fit.Unknowns(POSE, at), free).jacobian
+    for slope, change in zip(found, step * np.eye(10), strict=True):
+        expected = (residual(change) - residual(-change)) / (2 * step)
+        np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-3)
+
+
+def test_an_error_of_a_fit_weighs_as_its_cost_grows():
+    """Of both, the slopes by the squared error in units of the scale."""
+    squares, scale, step = np.array([0.0, 0.25, 1.0, 9.0]), 3.0, 1e-6
+
+    def costs(square):
+        return camera_fit.cauchy_loss(scale * np.sqrt([square, 0 * square]), scale)
+
+    expected = [(costs(squares + step * e)[0] - costs(squares)[0]) / step for e in np.eye(4)]
+    np.testing.assert_allclose(costs(squares)[1], np.array(expected) / scale**2, atol=1e-5)
+
+
+def test_costs_of_detections_are_those_of_numpy():
+    """Joints missing on either side, behind the camera, bodies that are not there or show few."""
+    rng = np.random.default_rng(7)
+    points = bodies(individuals=3, keypoints=6)
+    points[..., 2] -= 4.0  # some of them behind the camera
+    whole = points @ POSE.rotation.T + POSE.translation
+    image = whole[..., :2] / whole[..., 2:] + 0.05 * rng.normal(size=(*points.shape[:3], 2))
+    for array in (points, image):
+        array[rng.random(array.shape[:3]) < 0.3] = np.nan
+    points[3], points[5, 1:] = np.nan, np.nan
+    seen = sighting(points, image[:, ::-1])
+    turns = matrix_from_vector(rng.normal(0, 0.05, (4, 3))) @ POSE.rotation
+    poses = CameraPoses(turns, np.tile(POSE.translation, (4, 1)))
+    projections = np.concatenate([poses.rotation, poses.translation[..., None]], axis=-1)
+    tolerance = rng.uniform(0.02, 0.1, len(seen.frame))
+    found = compare_projections(projections, seen, tolerance, 4)
+    cost, body = oracle.compare_projections(projections, seen, tolerance, 4)
+    np.testing.assert_allclose(found.cost, cost, rtol=1e-9)
     np.testing.assert_array_equal(found.body, body)
     np.testing.assert_array_equal(costs_of(poses, seen, tolerance, 4), found.cost)
+    assert np.isnan(cost).any()
+    assert 0 < (whole[..., 2] < 0).mean() < 1
+    assert 0.05 < (cost < 0.9).mean() < 0.95
+
+
+def test_the_equations_of_a_pose_are_those_of_differences():
+    """Of each detection, half of the slope of its squared error is the target."""
+    points, rng = bodies(frames=3), np.random.default_rng(1)
+    image = project(points, np.eye(3)) + 0.01 * rng.normal(size=(3, 1, 12, 2))
+    seen, step = sighting(points, image), 1e-6
+    found = linearise(POSE, seen, 1e3, 4)
+    for k in range(6):
+        squares = []
+        for change in (step * np.eye(6)[k], -step * np.eye(6)[k]):
+            turn = matrix_from_vector(change[:3])
+            pose = CameraPose(turn @ POSE.rotation, POSE.translation + change[3:])
+            squares.append(linearise(pose, seen, 1e3, 4).square)
+        slope = (squares[0] - squares[1]) / (4 * step)
+        ratio = found.target[:, k] / slope  # the unit of the unknown
+        np.testing.assert_allclose(ratio, ratio[0], rtol=1e-3)
+        np.testing.assert_allclose(found.normal[:, k, k].sum(), 1.0)
+
+
+def test_poses_are_refined_among_strangers():
+    """Of two epochs each has its own detections, and a third of all is of nobody that is known."""
+    points, rng = bodies(frames=60, individuals=2), np.random.default_rng(4)
+    image = project(points, np.eye(3))
+    image[::3] = rng.uniform(-0.7, 0.7, size=image[::3].shape)
+    rays = np.concatenate([image, np.ones_like(image[..., :1])], axis=-1)
+    seen = sightings_of(rays / np.linalg.norm(rays, axis=-1, keepdims=True), points)
+    start = CameraPoses(
+        matrix_from_vector(np.array([[0.0, 0.05, 0.0], [0.02, 0.0, -0.03]])) @ POSE.rotation,
+        np.tile(POSE.translation, (2, 1)) + 0.1,
+    )
+    early = seen.frame < 30
+    found = refine_poses(
+        start,
+        seen,
+        counted=np.stack([early, ~early]),
+        tolerances=tuple(np.geomspace(0.1, 0.003, 8)),
+        least_joints=4,
+    )
+    assert np.degrees(angle_between(found.rotation, POSE.rotation)).max() < 0.05

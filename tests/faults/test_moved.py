@@ -11,7 +11,8 @@ from click.testing import CliRunner
 from report_pages import page_data
 from scenes import PEOPLE, calibrate_all, recording, rotation_errors_deg, scene
 
-from mocap_calib.adjust.resection import CameraPoses, Sightings, costs_of, sightings_of
+from mocap_calib.adjust.camera_fit import CameraPoses
+from mocap_calib.adjust.resection import Sightings, costs_of, sightings_of
 from mocap_calib.config import DECISIVE_NATS, Config, MovedConfig
 from mocap_calib.faults.changes import (
     _choose_number,

@@ -40,37 +40,22 @@ def schur_complement(equations: NormalEquations) -> tuple[Floats, Floats, Floats
     return inverse, system, gradient
 
 
-def detection_costs(points: Floats, image: Floats, projection: Floats, tolerance: float, least):
-    """Return `[frame, instance, individual]` mean costs of joints, 1 where too few compare.
-
-    points: `[frame, individual, keypoint, 3]`; image: `[frame, instance, keypoint, 2]`.
-    """
-    seen = points @ projection[:, :3].T + projection[:, 3]
-    in_front = seen[..., 2:] > 0
-    there = seen[..., :2] / np.where(in_front, seen[..., 2:], np.nan)
-    square = ((image[:, :, None] - there[:, None]) ** 2).sum(-1) / tolerance**2
-    cost = np.where(in_front[:, None, ..., 0], square / (1 + square), 1.0)
-    both = np.isfinite(image[:, :, None, :, 0]) & np.isfinite(points[:, None, ..., 0])
-    count = both.sum(-1)
-    mean = np.where(both, cost, 0.0).sum(-1) / np.maximum(count, 1)
-    return np.where(count >= least, mean, 1.0)
-
-
-def compare_poses(rotation: Floats, translation: Floats, seen, tolerance: Floats, least_joints):
-    """Return the least costs `[pose, detection]` of the bodies of its frame, and which these are.
+def compare_projections(projections: Floats, seen, tolerance: Floats, least_joints: int):
+    """Return the least costs `[projection, detection]` and the bodies that these are of.
 
     seen: `Sightings`. NaN where no body has enough joints in common.
     """
-    costs = np.full((len(rotation), len(seen.frame), seen.bodies.shape[1]), np.inf)
+    costs = np.full((len(projections), len(seen.frame), seen.bodies.shape[1]), np.inf)
     for n, frame in enumerate(seen.frame):
         for body, points in enumerate(seen.bodies[frame]):
-            both = np.isfinite(points[:, 0]) & np.isfinite(seen.rays[n, :, 0])
+            both = np.isfinite(points[:, 0]) & np.isfinite(seen.image[n, :, 0])
             if both.sum() < least_joints:
                 continue
-            for pose, (turn, shift) in enumerate(zip(rotation, translation, strict=True)):
-                at = points[both] @ turn.T + shift
-                unit = at / np.linalg.norm(at, axis=1, keepdims=True)
-                square = ((unit - seen.rays[n, both]) ** 2).sum(1) / tolerance[n] ** 2
-                costs[pose, n, body] = (square / (1 + square)).mean()
+            for number, projection in enumerate(projections):
+                at = points[both] @ projection[:, :3].T + projection[:, 3]
+                error = at[:, :2] / at[:, 2:] - seen.image[n, both]
+                square = (error**2).sum(1) / tolerance[n] ** 2
+                cost = np.where(at[:, 2] > 0, square / (1 + square), 1.0)
+                costs[number, n, body] = cost.mean()
     least = costs.min(-1)
     return np.where(np.isfinite(least), least, np.nan), costs.argmin(-1)
