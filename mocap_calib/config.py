@@ -498,7 +498,6 @@ class MendConfig:
 
 
 MENDING = ("auto", "none")  # whether faults are mended; the first is the default
-SIDE_WORDS = ("left", "right")  # that names of paired keypoints begin with, once spelt out
 EPOCH_MARK = "@"  # between the name of a camera and the frame from which on it stands elsewhere
 REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
 RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accuracy

@@ -35,7 +35,7 @@ from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
 from mocap_calib.job.steps import CalibrationRequest
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.recording.timeline import clocks_of_rig, retime
+from mocap_calib.recording.timeline import clocks_from, retime
 from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.types import CameraRig, Ints, Recording, Sample
 from mocap_calib_cli.describe import describe_recording
@@ -193,7 +193,7 @@ def read_recording_of(
     """
     loaded = read_recording(options, camera_file, reporter, of_rig=True)
     rig = _rig_of_recording(rig, loaded.recording)
-    clocks = clocks_of_rig(loaded.recording, rig)
+    clocks = clocks_from(loaded.recording, rig.clocks)
     return rig, replace(loaded, recording=retime(loaded.recording, clocks), clocks=clocks)
 
 

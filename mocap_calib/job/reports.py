@@ -24,7 +24,7 @@ from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.job.load import KeypointSource, load_recording
 from mocap_calib.job.results import name_results
 from mocap_calib.recording.corrections import Mirrored, Moved, Sides, apply_mends
-from mocap_calib.recording.timeline import clocks_of_rig, own_names, retime, views_by_camera
+from mocap_calib.recording.timeline import clocks_from, own_names, retime, views_by_camera
 from mocap_calib.report import SCHEMA
 from mocap_calib.results import Matches, Mend
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording
@@ -185,7 +185,7 @@ def _read_seen(
         CameraFile(cameras=tuple(cameras.values()), extrinsics={}),
         only_known_cameras=True,
     ).recording
-    clocks = clocks_of_rig(loaded, rig)
+    clocks = clocks_from(loaded, rig.clocks)
     names = own_names(rig.names)
     recording = retime(loaded, clocks).select(views=names)
     matches = read_matches_csv(folder.path / "matches.csv", recording, clocks)

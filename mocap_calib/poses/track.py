@@ -15,7 +15,6 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import PosesConfig, TriangulateConfig
 from mocap_calib.geometry.lens import rays_in_world
-from mocap_calib.recording.sampling import known_medians
 from mocap_calib.results import POINT_SOURCES, Matches, Poses3D
 from mocap_calib.rig.tracks import Tracks
 from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
@@ -217,11 +216,12 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Fl
     known, length, noise = (each[:, seen].T for each in (known, length, noise))
     length, noise = (np.where(known, each, np.nan) for each in (length, noise))
     length -= np.minimum(noise / length, length / 2)
-    usual = known_medians(noise)[:, None]
-    middle, varies = known_medians(np.where(noise <= usual, length, np.nan)), np.zeros(len(seen))
+    usual = np.nanmedian(noise, axis=1)[:, None]
+    middle = np.nanmedian(np.where(noise <= usual, length, np.nan), axis=1)
+    varies = np.zeros(len(seen))
     for _ in range(ROUNDS):
         square = (length - middle[:, None]) ** 2
-        varies = np.maximum(known_medians(square / _MEDIAN_SQUARE - noise), 0.0)
+        varies = np.maximum(np.nanmedian(square / _MEDIAN_SQUARE - noise, axis=1), 0.0)
         weight = np.where(known, 1 / (noise + varies[:, None] + square / 4), 0.0)
         middle = (weight * np.where(known, length, 0.0)).sum(1) / weight.sum(1)
     found = np.full((2, len(edges)), np.nan)

@@ -9,9 +9,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from mocap_calib.config import EPOCH_MARK, SIDE_WORDS
+from mocap_calib.config import EPOCH_MARK
 from mocap_calib.errors import MismatchError
-from mocap_calib.recording.joints import normalise_name
+from mocap_calib.recording.joints import side_pairs
 from mocap_calib.results import FaultWord, Mend
 from mocap_calib.types import Camera, EstimatedCamera, Ints, Recording
 
@@ -226,17 +226,10 @@ def find_view(recording: Recording, camera: str) -> int:
 
 
 def exchanged_sides(keypoints: tuple[str, ...]) -> Ints:
-    """Return the order `[keypoint]` in which left and right keypoints have changed places.
-
-    By their names: what begins with one side once the name is spelt out, and has a partner.
-    """
-    index = {normalise_name(name): k for k, name in enumerate(keypoints)}
+    """Return the order `[keypoint]` in which left and right keypoints have changed places."""
     order = np.arange(len(keypoints))
-    left, right = SIDE_WORDS
-    for name, k in index.items():
-        partner = index.get(right + name.removeprefix(left)) if name.startswith(left) else None
-        if partner is not None:
-            order[[k, partner]] = partner, k
+    for left, right in side_pairs(keypoints):
+        order[[left, right]] = right, left
     return order
 
 

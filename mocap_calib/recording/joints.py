@@ -37,6 +37,14 @@ def normalise_name(name: str) -> str:
     return "_".join(sides[:1] + others)
 
 
+def side_pairs(keypoints: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    """Return the index pairs (left, right) of keypoints whose normalised names differ by side."""
+    index = {normalise_name(name): k for k, name in enumerate(keypoints)}
+    lefts = [name for name in index if name.startswith("left")]
+    pairs = [(name, "right" + name.removeprefix("left")) for name in lefts]
+    return tuple((index[left], index[right]) for left, right in pairs if right in index)
+
+
 def match_names(names: tuple[str, ...], skeleton: Skeleton) -> Ints:
     """Return the index `[keypoint]` of each name's joint in the skeleton, -1 = no such joint.
 
@@ -235,7 +243,7 @@ def _parse_skeleton(fields: Mapping[str, Any], source: str) -> Skeleton:
         name=str(fields.get("name", source)),
         keypoints=keypoints,
         edges=tuple((index[parent], index[child]) for parent, child in edges),
-        symmetries=_symmetries(keypoints),
+        symmetries=side_pairs(keypoints),
         aliases=aliases,
         layouts=layouts,
     )
@@ -244,14 +252,6 @@ def _parse_skeleton(fields: Mapping[str, Any], source: str) -> Skeleton:
 def _strings(mapping: Mapping[Any, Any]) -> dict[str, str]:
     """Return a mapping of a YAML file as strings; YAML may read names as numbers."""
     return {str(name): str(joint) for name, joint in mapping.items()}
-
-
-def _symmetries(keypoints: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
-    """Return the index pairs (left, right) of keypoints `left...` and `right...`."""
-    index = {name: k for k, name in enumerate(keypoints)}
-    left_names = [name for name in keypoints if name.startswith("left")]
-    mirrored = [(name, "right" + name.removeprefix("left")) for name in left_names]
-    return tuple((index[left], index[right]) for left, right in mirrored if right in index)
 
 
 # --- a user's own names

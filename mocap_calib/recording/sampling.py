@@ -166,19 +166,3 @@ def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
 def usual_step(frames: Ints) -> int:
     """Return the usual difference of successive frame numbers `[frame]`."""
     return max(1, int(np.median(np.diff(frames)))) if len(frames) > 1 else 1
-
-
-def known_medians(rows: Floats) -> Floats:
-    """Return the medians `[row]` of what is finite in rows `[row, N]`; no row has nothing finite.
-
-    For rows of a hundred numbers, of which there are thousands, `np.median` takes eight times as
-    long, and `np.nanmedian` more.
-    """
-    return np.array([_median(row[np.isfinite(row)]) for row in rows])
-
-
-def _median(values: Floats) -> float:
-    """Return the median of numbers, which are put in another order."""
-    lower, upper = (len(values) - 1) // 2, len(values) // 2
-    values.partition((lower, upper))
-    return float((values[lower] + values[upper]) / 2)

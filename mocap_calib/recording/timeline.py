@@ -4,7 +4,7 @@ A camera that was moved is two views: `cam2` up to a frame, and `cam2@573` from 
 list it once, under its own name, with one rig for each epoch of the recording.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -29,13 +29,14 @@ def retime(recording: Recording, clocks: Clocks) -> Recording:
     return recording.show(clocks.source, clocks.frames)
 
 
-def clocks_from(recording: Recording, cameras: tuple[CameraClock, ...]) -> Clocks:
-    """Return which frames cameras show, given how the clock of each differs.
+def clocks_from(recording: Recording, clocks: Iterable[CameraClock]) -> Clocks:
+    """Return which frames cameras show, given how the clocks of some of them differ.
 
-    The common clock has the frames in which two cameras show something.
-
-    cameras: `[view]`.
+    The common clock has the frames in which two cameras show something. Cameras without a clock in
+    `clocks` are on it.
     """
+    given = {clock.camera: clock for clock in clocks}
+    cameras = tuple(given.get(name, CameraClock(name, "in step")) for name in recording.names)
     if not any(camera.differs for camera in cameras):
         return Clocks.of_one(recording, cameras)
     frames = _common_frames(recording.frames, cameras)
@@ -72,23 +73,13 @@ def clocks_of_rates(recording: Recording, rates: Mapping[str, float]) -> Clocks:
 
     Raises MismatchError where the recording does not have the camera.
     """
-    cameras = [CameraClock(name) for name in recording.names]
-    for name, rate in rates.items():
-        first = int(recording.frames[0])
-        table = ((first, 0),)
-        view = find_view(recording, name)
-        cameras[view] = CameraClock(recording.names[view], "rate", rate=rate, table=table)
-    return clocks_from(recording, tuple(cameras))
-
-
-def clocks_of_rig(recording: Recording, rig: CameraRig) -> Clocks:
-    """Return the clocks of a recording as a rig says them; cameras it does not name are in step.
-
-    rig: of the cameras of the recording.
-    """
-    said = {clock.camera: clock for clock in rig.clocks}
-    cameras = tuple(said.get(name, CameraClock(name, "in step")) for name in recording.names)
-    return clocks_from(recording, cameras)
+    for name in rates:
+        find_view(recording, name)
+    table = ((int(recording.frames[0]), 0),)
+    return clocks_from(
+        recording,
+        [CameraClock(name, "rate", rate=rate, table=table) for name, rate in rates.items()],
+    )
 
 
 def _common_frames(frames: Ints, cameras: tuple[CameraClock, ...]) -> Ints:
@@ -134,10 +125,8 @@ class Retimed:
 
         Raises MismatchError where the recording does not have it.
         """
-        view = find_view(recording, self.camera)
-        cameras = [CameraClock(name, "in step") for name in recording.names]
-        cameras[view] = self.clock
-        return retime(recording, clocks_from(recording, tuple(cameras)))
+        find_view(recording, self.camera)
+        return retime(recording, clocks_from(recording, [self.clock]))
 
 
 # --- epochs

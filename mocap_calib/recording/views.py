@@ -317,9 +317,9 @@ def _find_shift(first: _Detections, second: _Detections, least: int) -> int | No
     chosen = evenly_spaced(distinct, COPY_COMPARED)
     low = np.searchsorted(more.mean, fewer.mean[chosen] - tolerance)
     high = np.searchsorted(more.mean, fewer.mean[chosen] + tolerance)
-    number = np.minimum(high - low, COPY_FEW)
-    of = np.repeat(np.arange(len(chosen)), number)
-    candidate = low[of] + np.arange(len(of)) - np.repeat(number.cumsum() - number, number)
+    candidates = low[:, None] + np.arange(COPY_FEW)
+    of, column = np.nonzero(candidates < high[:, None])
+    candidate = candidates[of, column]
     ours, theirs = fewer.positions(chosen[of]), more.positions(candidate)
     mapped.let_go()
     equal = np.isclose(ours, theirs, rtol=0.0, atol=tolerance, equal_nan=True).all((1, 2))

@@ -15,7 +15,7 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES, VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.lens import project_views
-from mocap_calib.recording.sampling import evenly_spaced, known_medians
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Check, GroupResult, Matches
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.tracks import labelled_frames, matched_pixels, matched_share
@@ -133,7 +133,7 @@ def _medians(values: Floats) -> Floats:
     flat = values.reshape(len(values), -1)
     found = np.full(len(flat), np.nan)
     some = np.isfinite(flat).any(1)
-    found[some] = known_medians(flat[some])
+    found[some] = np.nanmedian(flat[some], axis=1)
     return found
 
 

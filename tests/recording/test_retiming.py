@@ -15,7 +15,6 @@ from mocap_calib.recording.sampling import choose_stretches
 from mocap_calib.recording.timeline import (
     clocks_from,
     clocks_of_rates,
-    clocks_of_rig,
     own_frames,
     retime,
 )
@@ -105,8 +104,8 @@ def test_cameras_yaml_keeps_the_clocks(tmp_path):
         line for line in (tmp_path / "cameras.yaml").read_text().splitlines() if names[0] in line
     )
     made = recording()
-    assert clocks_of_rig(made, back).changed
-    assert not clocks_of_rig(made, rig).changed
+    assert clocks_from(made, back.clocks).changed
+    assert not clocks_from(made, rig.clocks).changed
 
 
 def test_clocks_of_one_change_nothing():
