@@ -1,4 +1,4 @@
-"""Agreement of the lifted bodies of two views in any two frames.
+"""Agreement of two views in any two frames: of their lifted bodies, and of the rays of a rig.
 
 Lifted bodies of unit size differ by the rotation between the views alone. Under one rotation R the
 agreement of all bodies of one view with all bodies of the other is a matrix product, tr(R' b a') of
@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.config import CLOCK_RATES, PairwiseConfig
-from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.geometry.rotation import nearest_rotation, skew
 from mocap_calib.kernels import clocks as kernels
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.pairs.search import well_separated
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.results import LiftedPoses
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.results import LiftedPoses, Matches
+from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
 Singles = NDArray[np.float32]
 Pair = tuple[int, int]
@@ -31,6 +32,8 @@ POSE_TOLERANCE = PairwiseConfig.pose_tolerance
 _AXES = 10  # of the bodies' joints that are compared: bodies differ in few ways
 BLOCK_FRAMES = 30  # of a block of time, which has an offset of its own in the search
 _CELLS = 500_000  # pairs of bodies compared at a time, as many as the cache of a processor holds
+_CLEARLY_BETTER = 0.05  # agreement by which another rate must be better
+_LOSS_SCALE = 1.5  # median distances of rays, at which the loss turns
 _ABSENT = np.float32(-1e6)  # how alike a body is to one that is not there
 
 
@@ -106,9 +109,8 @@ def search_rotation(a: ViewInTime, b: ViewInTime, window: int, rng: np.random.Ge
     rotation = _candidates(a, b, rng)
     rows = _some_frames(a, bodies=60)
     best = _score_at_any_time(a, b, rotation, rows, window).max(1)
-    kept = well_separated(rotation, best, count=3, separation_deg=15.0)
+    refined = rotation[well_separated(rotation, best, count=3, separation_deg=15.0)]
     rows = _some_frames(a, bodies=200)
-    refined = rotation[kept]
     for _ in range(3):
         rates = _score_at_any_time(a, b, refined, rows, window).argmax(1)
         refined = np.stack(
@@ -212,8 +214,7 @@ def _score_at_any_time(
         values = _agreement(a, b, rotation[start : start + each], rows)
         by_rate = [_best_in_blocks(values, rate, rows, window)[0] for rate in CLOCK_RATES]
         scores.append(np.stack(by_rate, 1))
-    # another rate must be clearly better than none
-    return np.concatenate(scores) - 0.05 * (np.array(CLOCK_RATES) != 1.0)
+    return np.concatenate(scores) - _CLEARLY_BETTER * (np.array(CLOCK_RATES) != 1.0)
 
 
 def _best_in_blocks(values: Singles, rate: float, rows: Ints, window: int) -> tuple[Floats, Ints]:
@@ -279,3 +280,66 @@ def align_at(
     weighted = _likeness(cosine[frame, i, j])[:, None, None] * body_b[frame, j]
     covariance = weighted.reshape(-1, 3).T @ body_a[frame, i].reshape(-1, 3)
     return nearest_rotation(covariance.astype(np.float64))
+
+
+# Rays of a rig
+
+
+def agreement_of_rays(
+    recording: Recording, rig: CameraRig, matches: Matches, stretches: Ints, window: int
+) -> dict[Pair, Singles]:
+    """Return how nearly the rays of pairs of views meet in any two frames up to a window apart.
+
+    The mean log likelihood of the keypoints; pairs that share none are left out. How nearly rays of
+    two cameras meet at other offsets of the clocks shows whole frames, as far as bodies move.
+
+    matches: labels in all frames. stretches: `[stretch, frame]` indices, -1 = no frame.
+    """
+    rays = _rays(recording, matches, stretches)
+    planes = {
+        (a, b): _epipolar_planes(rays[a], rays[b], *rig.relative(a, b))
+        for a, b in compared_pairs(len(rig))
+    }
+    angles = {pair: _synchronous_angles(*each) for pair, each in planes.items()}
+    known = [pair for pair, each in angles.items() if len(each)]
+    scale = _LOSS_SCALE * float(np.median([np.median(angles[pair]) for pair in known] or 1.0))
+    time = np.arange(stretches.shape[1])[:, None]
+    column = time + np.arange(-window, window + 1)
+    row, offset = np.nonzero((column >= 0) & (column < len(time)))
+    values = {}
+    for pair in known:
+        table = np.empty((*stretches.shape, 2 * window + 1))
+        kernels.mean_epipolar_likelihood(*contiguous(*planes[pair]), scale, table)
+        whole = np.full((len(table), len(time), len(time)), np.nan, np.float32)
+        whole[:, row, column[row, offset]] = table[:, row, offset]
+        values[pair] = whole
+    return values
+
+
+def _rays(recording: Recording, matches: Matches, stretches: Ints) -> Floats:
+    """Return the unit rays `[view, stretch, frame, point, 3]` of all labelled keypoints."""
+    frames = np.unique(stretches[stretches >= 0])
+    rays = gather_tracks(recording, matches, frames).rays
+    rays = np.moveaxis(rays.reshape(len(rays), 3, len(frames), -1), 1, -1)
+    place = np.searchsorted(frames, np.maximum(stretches, frames[0]))
+    return np.where((stretches >= 0)[..., None, None], rays[:, place], np.nan)
+
+
+def _epipolar_planes(
+    a: Floats, b: Floats, rotation: Floats, translation: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the normals of the epipolar planes of rays of a, rays of b, and squares of both.
+
+    Two rays miss each other by the angle normal . ray / sqrt(square of a + square of b).
+
+    a, b: `[stretch, frame, point, 3]` rays. rotation, translation: of b_from_a.
+    """
+    essential = skew(translation) @ rotation
+    normal = a @ essential.T
+    return normal, b, (normal**2).sum(-1), ((b @ essential) ** 2).sum(-1)
+
+
+def _synchronous_angles(normal: Floats, ray: Floats, square_a: Floats, square_b: Floats) -> Floats:
+    """Return the angles `[N]` by which rays of equal frame numbers miss each other."""
+    angle = np.abs((normal * ray).sum(-1)) / np.sqrt(square_a + square_b)
+    return angle[np.isfinite(angle)]

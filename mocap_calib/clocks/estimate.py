@@ -7,7 +7,8 @@ with the time left open: search -> maps -> align the bodies at these maps -> map
 A camera stays as it is unless the evidence for another clock is decisive.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,43 +17,36 @@ import numpy as np
 from mocap_calib.clocks.compare import (
     LEAST_FRAMES,
     Pair,
+    Singles,
+    ViewInTime,
+    agreement,
+    agreement_of_rays,
+    align_at,
     compared_pairs,
     search_rotation,
     views_in_time,
 )
-from mocap_calib.clocks.evidence import (
+from mocap_calib.clocks.maps import (
     Agreements,
     Timing,
-    combine_clocks,
     describe_clock,
-    frame_numbers,
-    standardise,
+    evidence,
+    find_timing,
     weigh,
 )
-from mocap_calib.clocks.follow import (
-    agreement_values,
-    find_timing,
-    is_better,
-    scaled_agreements,
-    solve_maps,
-)
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
-from mocap_calib.config import Config, SyncConfig
+from mocap_calib.config import DECISIVE_NATS, Config, SyncConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.rotation import skew
-from mocap_calib.kernels import clocks as kernels
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.geometry.alignment import mean_of_known
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.recording.sampling import choose_stretches, take_sample, usual_step
 from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
-from mocap_calib.results import CalibrationResult, Clocks, GroupResult, LiftedPoses, Matches
+from mocap_calib.results import CalibrationResult, Clocks, GroupResult, LiftedPoses
 from mocap_calib.rig.large_rigs import calibrate_view_graph
-from mocap_calib.rig.tracks import gather_tracks
 from mocap_calib.training import on_device
 from mocap_calib.types import (
     CameraClock,
-    CameraRig,
     Floats,
     Ints,
     Progress,
@@ -65,7 +59,6 @@ T = TypeVar("T")  # what is observed of a recording
 Calibrate = Callable[[Recording, T | None], tuple[T, CalibrationResult]]
 _ROUNDS = 4  # of calibrating again on refined clocks
 _REACH = 15  # frames: offsets that are compared by a rig, early and late
-_LOSS_SCALE = 1.5  # median distances of rays, at which the loss turns
 
 
 def compare_clocks(
@@ -182,12 +175,9 @@ def find_clocks(
         return tuple(map(CameraClock, recording.names))
     numbers = frame_numbers(recording, stretches)
     given = {pair: rotations[pair] for pair in compared if pair in rotations}
-    as_numbered = agreement_values(views, given)
     if given:
-        agreements = scaled_agreements(as_numbered, as_numbered, len(views), window)
-        cameras = _cameras(
-            recording.names, numbers, find_timing(agreements), agreements, agreements
-        )
+        agreements = Agreements.of(len(views), _compare(views, given), window)
+        cameras = _cameras(recording.names, numbers, agreements, find_timing(agreements))
         if all(camera.kind == "in step" for camera in cameras):
             return cameras
     generators = np.random.default_rng(seed).spawn(len(compared))
@@ -195,15 +185,43 @@ def find_clocks(
         lambda job: search_rotation(views[job[0][0]], views[job[0][1]], 2 * window, job[1]),
         zip(compared, generators, strict=True),
     )
-    values, timing = solve_maps(views, dict(zip(compared, searched, strict=True)), window)
+    values, timing = _solve(views, dict(zip(compared, searched, strict=True)), window)
     if given:
         # bodies of a gait also match half a cycle apart, under rotations that are turned by 180 deg
-        near = solve_maps(views, given, window)
-        if not is_better((values, timing), near):
+        near = _solve(views, given, window)
+        gain = _along_maps(values, timing, given) - _along_maps(*near, given)
+        if evidence(gain, np.isfinite(gain)) < DECISIVE_NATS:
             values, timing = near
-    agreements = scaled_agreements(values, values, len(views), window)
-    in_step = scaled_agreements(values | as_numbered, values, len(views), window)
-    return _cameras(recording.names, numbers, timing, agreements, in_step)
+    agreements = Agreements.of(len(views), values, window)
+    return _cameras(recording.names, numbers, agreements, timing)
+
+
+def _compare(views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats]) -> dict[Pair, Singles]:
+    """Return the agreement `[stretch, frame, frame]` of pairs under rotations b_from_a."""
+    return {(a, b): agreement(views[a], views[b], turn) for (a, b), turn in rotations.items()}
+
+
+def _solve(
+    views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats], window: int
+) -> tuple[dict[Pair, Singles], Timing]:
+    """Return the agreement of pairs and the maps, with the rotations aligned at first maps."""
+    timing = find_timing(Agreements.of(len(views), _compare(views, rotations), window))
+    aligned = {
+        (a, b): align_at(views[a], views[b], turn, timing.maps[a], timing.maps[b])
+        for (a, b), turn in rotations.items()
+    }
+    values = _compare(views, aligned)
+    return values, find_timing(Agreements.of(len(views), values, window))
+
+
+def _along_maps(values: Mapping[Pair, Singles], timing: Timing, pairs: Iterable[Pair]) -> Floats:
+    """Return the mean agreement `[stretch, frame]` of pairs at the times of the maps."""
+    own, stretch = timing.maps, np.arange(timing.maps.shape[1])[:, None]
+    found = [
+        np.where((own[a] >= 0) & (own[b] >= 0), values[a, b][stretch, own[a], own[b]], np.nan)
+        for a, b in pairs
+    ]
+    return mean_of_known(np.stack(found), 0)
 
 
 def refine_clocks(
@@ -214,12 +232,13 @@ def refine_clocks(
     for group in groups:
         stretches = choose_stretches(group.recording, config)
         numbers = frame_numbers(group.recording, stretches)
-        window = min(config.window, stretches.shape[1] // 3)
+        window = min(config.window, stretches.shape[1] // 3, _REACH)
         rig = group.adjusted.rig
-        agreements = _agreements_of_rig(group.recording, rig, group.matches, stretches, window)
-        if agreements.values:
+        values = agreement_of_rays(group.recording, rig, group.matches, stretches, window)
+        if values:
+            agreements = Agreements.of(len(rig), values, window)
             timing = find_timing(agreements, constant=True)
-            for found in _cameras(rig.names, numbers, timing, agreements, agreements):
+            for found in _cameras(rig.names, numbers, agreements, timing):
                 before = cameras[found.camera]
                 # one frame names no camera: the estimate of parts of a frame is finer
                 finer = abs(found.offset) <= usual_step(group.recording.frames)
@@ -229,18 +248,13 @@ def refine_clocks(
 
 
 def _cameras(
-    names: Sequence[str],
-    numbers: Ints,
-    timing: Timing,
-    agreements: Agreements,
-    in_step: Agreements,
+    names: Sequence[str], numbers: Ints, agreements: Agreements, timing: Timing
 ) -> tuple[CameraClock, ...]:
     """Return the clock of each camera.
 
     Cameras of which nothing decisive is found stay as they are. Then the others are judged again:
     each must also differ from the cameras that stay.
     """
-    synchronous = Timing.synchronous(agreements)
     stay = np.zeros(len(names), dtype=bool)
     while True:
         cameras = tuple(
@@ -249,7 +263,7 @@ def _cameras(
                 timing,
                 view,
                 numbers,
-                weigh(agreements, in_step, timing, view),
+                weigh(agreements, timing, view),
                 window=agreements.window,
             )
             for view, name in enumerate(names)
@@ -258,69 +272,32 @@ def _cameras(
         if (differ | stay).all() or not differ.any():
             return cameras
         stay = ~differ
-        kept = stay[:, None, None]
+        synchronous = Timing.synchronous(agreements).maps
         timing = Timing(
-            np.where(kept, synchronous.maps, timing.maps),
+            np.where(stay[:, None, None], synchronous, timing.maps),
             np.where(stay, 1.0, timing.rates),
-            np.where(kept, 0.0, timing.agreement),
         )
 
 
-def _agreements_of_rig(
-    recording: Recording, rig: CameraRig, matches: Matches, stretches: Ints, window: int
-) -> Agreements:
-    """Return how nearly the rays of pairs of views meet in any two frames up to a window apart.
+def frame_numbers(recording: Recording, stretches: Ints) -> Ints:
+    """Return the numbers `[stretch, frame]` of frames, also of those that are not there.
 
-    The mean log likelihood of the keypoints; pairs that share none are left out. How nearly rays of
-    two cameras meet at other offsets of the clocks shows whole frames, as far as bodies move.
-
-    matches: labels in all frames. stretches: `[stretch, frame]` indices, -1 = no frame.
+    stretches: `[stretch, frame]` indices of the frames of a recording, -1 = no frame.
     """
-    window, rays = min(window, _REACH), _rays(recording, matches, stretches)
-    planes = {
-        (a, b): _epipolar_planes(rays[a], rays[b], *rig.relative(a, b))
-        for a, b in compared_pairs(len(rig))
-    }
-    angles = {pair: _synchronous_angles(*each) for pair, each in planes.items()}
-    known = [pair for pair, each in angles.items() if len(each)]
-    scale = _LOSS_SCALE * float(np.median([np.median(angles[pair]) for pair in known] or 1.0))
-    time = np.arange(stretches.shape[1])[:, None]
-    column = time + np.arange(-window, window + 1)
-    row, offset = np.nonzero((column >= 0) & (column < len(time)))
-    values = {}
-    for pair in known:
-        table = np.empty((*stretches.shape, 2 * window + 1))
-        kernels.mean_epipolar_likelihood(*contiguous(*planes[pair]), scale, table)
-        whole = np.full((len(table), len(time), len(time)), np.nan, np.float32)
-        whole[:, row, column[row, offset]] = table[:, row, offset]
-        values[pair] = standardise(whole, whole)
-    return Agreements(len(rig), values, window)
+    step, some = usual_step(recording.frames), (stretches >= 0).argmax(1)
+    number = recording.frames[stretches[np.arange(len(stretches)), some]]
+    return np.asarray((number - some * step)[:, None] + step * np.arange(stretches.shape[1]))
 
 
-def _rays(recording: Recording, matches: Matches, stretches: Ints) -> Floats:
-    """Return the unit rays `[view, stretch, frame, point, 3]` of all labelled keypoints."""
-    frames = np.unique(stretches[stretches >= 0])
-    rays = gather_tracks(recording, matches, frames).rays
-    rays = np.moveaxis(rays.reshape(len(rays), 3, len(frames), -1), 1, -1)
-    place = np.searchsorted(frames, np.maximum(stretches, frames[0]))
-    return np.where((stretches >= 0)[..., None, None], rays[:, place], np.nan)
-
-
-def _epipolar_planes(
-    a: Floats, b: Floats, rotation: Floats, translation: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the normals of the epipolar planes of rays of a, rays of b, and squares of both.
-
-    Two rays miss each other by the angle normal . ray / sqrt(square of a + square of b).
-
-    a, b: `[stretch, frame, point, 3]` rays. rotation, translation: of b_from_a.
-    """
-    essential = skew(translation) @ rotation
-    normal = a @ essential.T
-    return normal, b, (normal**2).sum(-1), ((b @ essential) ** 2).sum(-1)
-
-
-def _synchronous_angles(normal: Floats, ray: Floats, square_a: Floats, square_b: Floats) -> Floats:
-    """Return the angles `[N]` by which rays of equal frame numbers miss each other."""
-    angle = np.abs((normal * ray).sum(-1)) / np.sqrt(square_a + square_b)
-    return angle[np.isfinite(angle)]
+def combine_clocks(first: CameraClock, second: CameraClock) -> CameraClock:
+    """Return the clock of a camera that, put on the first clock, is still off by a constant."""
+    if not second.differs:
+        return first if first.differs or second.kind == "not known" else second
+    if not first.differs:
+        return second
+    by = second.offset
+    table = tuple((frame - by, offset + by) for frame, offset in first.table)
+    changed = replace(first, offset=first.offset + by, table=table)
+    if changed.kind == "clock" and changed.offset == 0:
+        return CameraClock(first.camera, "in step", evidence=second.evidence)
+    return changed

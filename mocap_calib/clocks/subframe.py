@@ -11,30 +11,29 @@ A detection is resampled along the motion of its triangulated point, which is ta
 single points show more noise than acceleration.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.adjust.covariance import find_covariance
-from mocap_calib.adjust.motion import Motion, motion_between, smoothness
+from mocap_calib.adjust.motion import motion_between, smoothness
 from mocap_calib.adjust.problem import Problem, free_clocks, problem_of_frames
-from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
+from mocap_calib.adjust.residuals import State, TimedRayResiduals
 from mocap_calib.adjust.solve import minimise, optimise_points
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.alignment import mean_of_known
+from mocap_calib.mapped import frame_slices
 from mocap_calib.recording.sampling import evenly_spaced, take_sample, usual_step
 from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.results import Adjusted, Matches, Poses3D, TimeOffsets
 from mocap_calib.rig.observed import Observed
-from mocap_calib.rig.tracks import Tracks, labelled_frames, per_frame_labels
+from mocap_calib.rig.tracks import Tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
 _POINTS = 12_000  # that an estimate takes
-_BLOCK = 1000  # frames whose detections are moved at a time
 _STRETCH = 10  # frames that follow each other, of which the points come
-_COUNTED_FRAMES = 200  # that show how many points a frame has
 _LEAST_POINTS = 100  # that move and that a view sees, for its clock to be determined
 # 1 = points move without jerks, 0 = as frames of different times would have them. Recordings of
 # moving subjects have 0.6 to 0.96, samples of single frames 0.15 to 0.26
@@ -46,40 +45,6 @@ _LEAST_OFFSET, _MOST_OFFSET = 0.1, 1.2
 # standard deviations of an offset that is applied; synchronous recordings reach 3.6, recordings
 # of which cameras take every second frame 6 to 60
 _SIGNIFICANT = 5.0
-
-
-@dataclass(frozen=True)
-class _Tracks:
-    """Points of frames that follow each other, and what was seen of some of them.
-
-    points: all M of these frames.
-    own: `[N]` indices of the points that are known `step` frames before and after, too.
-    before, after: `[N]` indices of these neighbours. seen: of the points `own`.
-    leader: `[M]` index of the point of `own` that a point moves with when the rig changes; its own
-        index where there is none beside it.
-    """
-
-    points: Problem
-    own: Ints
-    before: Ints
-    after: Ints
-    leader: Ints
-    step: int
-    seen: RayResiduals
-
-    def motion(self, positions: Floats) -> Motion:
-        """Return how the points `own` move, given where all are `[3, M]`."""
-        before, here, after = (positions[:, i] for i in (self.before, self.own, self.after))
-        return motion_between(here - before, after - here, self.step)
-
-    def move(self, positions: Floats, own: Floats) -> Floats:
-        """Return where all points `[3, M]` are after the points `own` have moved to `[3, N]`.
-
-        The others are not adjusted: each moves as its neighbour does.
-        """
-        moved = np.zeros_like(positions)
-        moved[:, self.own] = own - positions[:, self.own]
-        return positions + moved[:, self.leader]
 
 
 def synchronise_detections(
@@ -108,15 +73,18 @@ def find_time_offsets(
     rig, matches: adjusted and labelled as if the clocks agreed. The rig stays as it is where no
     offset is applied. The cost does not depend on the length of the recording.
     """
-    tracks = _find_tracks(recording, rig, matches, config)
-    free = _determined_views(tracks)
-    if not config.sync.subframe or not free.any():
-        return TimeOffsets.unknown(len(rig.cameras)), rig
-    adjusted, tau, sigma = _estimate(tracks, rig, free, config)
+    unknown = TimeOffsets.unknown(len(rig.cameras)), rig
+    if not config.sync.subframe:
+        return unknown
+    frames = _choose_stretches(matches, len(recording.keypoints), _POINTS)
+    problem = problem_of_frames(recording, rig, matches, frames, config)
+    step = usual_step(recording.frames)
+    triples = _find_triples(problem.tracks, recording.frames, step)
+    free = _determined_views(problem, triples)
+    if not free.any():
+        return unknown
+    adjusted, tau, sigma = _estimate(problem, triples, step, free, config)
     used = _are_significant(tau, sigma)
-    if used.any():  # the clocks of the others agree with the first one
-        adjusted, *again = _estimate(tracks, rig, used, config)
-        tau, sigma = (np.where(used, *each) for each in zip(again, (tau, sigma), strict=True))
     known = free | (np.arange(len(free)) == 0)
     tau, sigma = (np.where(known, each, np.nan) for each in (tau, sigma))
     return TimeOffsets(tau, sigma, used), adjusted if used.any() else rig
@@ -135,66 +103,42 @@ def _are_significant(tau: Floats, sigma: Floats) -> Bools:
 # Which points
 
 
-def _find_tracks(recording: Recording, rig: CameraRig, matches: Matches, config: Config) -> _Tracks:
-    """Return some points of stretches of the recording, with their neighbours."""
-    frames = _choose_stretches(matches, len(recording.keypoints), _POINTS, _STRETCH)
-    points = problem_of_frames(recording, rig, matches, frames, config)
-    step = usual_step(recording.frames)
-    before, after = _find_neighbours(points.tracks, recording.frames, step)
-    between = (before >= 0) & (after >= 0)
-    own = np.flatnonzero(between)
-    leader = np.arange(len(between))
-    for neighbour in (before, after):
-        leader = np.where(~between & (neighbour >= 0) & between[neighbour], neighbour, leader)
-    return _Tracks(
-        points=points,
-        own=own,
-        before=before[own],
-        after=after[own],
-        leader=leader,
-        step=step,
-        seen=points.select(own).rays,
-    )
+def _find_triples(tracks: Tracks, frames: Ints, step: int) -> Ints:
+    """Return the indices `[3, N]` of points a step before, of the points, and a step after.
 
-
-def _find_neighbours(tracks: Tracks, frames: Ints, step: int) -> tuple[Ints, Ints]:
-    """Return the indices `[M]` of the points a step before and after; -1 = none.
-
-    frames: `[frame]` numbers of the frames of the recording.
+    Points without both neighbours are left out. frames: `[frame]` numbers of the frames of the
+    recording.
     """
     present, rank = np.unique(tracks.frame, return_inverse=True)
     shape = (len(present) + 1, tracks.individual.max(initial=0) + 1)
     index = np.full((*shape, tracks.keypoint.max(initial=0) + 1), -1)
     index[rank, tracks.individual, tracks.keypoint] = np.arange(len(rank))
     follows = np.append(np.diff(frames[present]) == step, False)[: len(present)]
-    next_one = index[rank + 1, tracks.individual, tracks.keypoint]
-    after = np.where(follows[rank], next_one, -1)
+    after = np.where(follows[rank], index[rank + 1, tracks.individual, tracks.keypoint], -1)
     before = np.full(len(rank), -1)
     before[after[after >= 0]] = np.flatnonzero(after >= 0)
-    return before, after
+    own = np.flatnonzero((before >= 0) & (after >= 0))
+    return np.stack([before[own], own, after[own]])
 
 
-def _choose_stretches(matches: Matches, keypoints: int, budget: int, stretch: int) -> Ints:
+def _choose_stretches(matches: Matches, keypoints: int, budget: int) -> Ints:
     """Return indices of frames in stretches that are evenly spread, of about `budget` points."""
     labelled = labelled_frames(matches)
-    some = per_frame_labels(matches.select(frames=evenly_spaced(labelled, _COUNTED_FRAMES))).labels
-    individuals = np.arange(some.max(initial=0) + 1)
-    views = (some[..., None] == individuals).any(2).sum(0)  # [frame, individual]
-    points = max(1.0, (views >= 2).sum(1).mean()) * keypoints  # in a frame
-    starts = np.unique(labelled // stretch) * stretch
-    starts = evenly_spaced(starts, max(1, round(budget / (points * stretch))))
-    frames = (starts[:, None] + np.arange(stretch)).ravel()
+    bodies = (matches.labels[:, labelled] >= 0).sum(2).max(0).mean()  # in a frame
+    starts = np.unique(labelled // _STRETCH) * _STRETCH
+    starts = evenly_spaced(starts, max(1, round(budget / (bodies * keypoints * _STRETCH))))
+    frames = (starts[:, None] + np.arange(_STRETCH)).ravel()
     return frames[frames < matches.labels.shape[1]]
 
 
-def _determined_views(tracks: _Tracks) -> Bools:
+def _determined_views(problem: Problem, triples: Ints) -> Bools:
     """Return the views `[view]` whose clocks can be told from the first one's.
 
     Points must move, and smoothly, from frame to frame, and views see enough of them.
     """
-    points = tracks.points.points
-    enough = (tracks.seen.weight > 0).sum(1) >= _LEAST_POINTS
-    neighbours = (points[:, index] for index in (tracks.before, tracks.own, tracks.after))
+    seen = problem.tracks.weight[:, triples[1]] > 0
+    enough = seen.sum(1) >= _LEAST_POINTS
+    neighbours = (problem.points[:, each] for each in triples)
     if not enough[0] or smoothness(*neighbours) < _LEAST_SMOOTHNESS:
         return np.zeros(len(enough), dtype=bool)
     return enough & (np.arange(len(enough)) > 0)
@@ -204,45 +148,45 @@ def _determined_views(tracks: _Tracks) -> Bools:
 
 
 def _estimate(
-    tracks: _Tracks, rig: CameraRig, free: Bools, config: Config
+    problem: Problem, triples: Ints, step: int, free: Bools, config: Config
 ) -> tuple[CameraRig, Floats, Floats]:
     """Return the rig adjusted with the offsets of some clocks (free: `[view]`), and these.
 
     Offsets and standard deviations `[view]` in frames, 0 where one is not free. Each round starts
     from the motion that the one before ended with.
+
+    triples: `[3, N]` as of `_find_triples`; the points in the middle are adjusted.
     """
-    last_scale = tracks.points.loss_scale
+    rig, loss_scale, own = problem.rig, problem.loss_scale, problem.select(triples[1])
     freedom = free_clocks(free, _MOST_OFFSET)
-    positions, adjusted, tau = tracks.points.points, rig, np.zeros(len(free))
+    positions, state = problem.points.copy(), own.start(np.zeros((len(free), 1)))
     for _ in range(_ROUNDS):
-        before = tau
-        seen = TimedRayResiduals(tracks.seen, tracks.motion(positions))
-        own = positions[:, tracks.own]
+        last = state.intrinsics
+        before, here, after = (positions[:, each] for each in triples)
+        seen = TimedRayResiduals(own.rays, motion_between(here - before, after - here, step))
         state = minimise(
-            State(adjusted.rotation, adjusted.translation, own, tau[:, None]),
+            state,
             seen,
             freedom,
-            loss_scale=last_scale,
+            loss_scale=loss_scale,
             tolerance=_TOLERANCE,
         )
-        state = _at_size_of(rig, optimise_points(state, seen, loss_scale=last_scale))
-        adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
-        positions = tracks.move(positions, state.points)
-        tau = state.intrinsics[:, 0]
-        converged = np.abs(tau - before).max() < 0.01
-        if converged or np.abs(tau).max() > _MOST_OFFSET:
+        state = _at_size_of(rig, optimise_points(state, seen, loss_scale=loss_scale))
+        positions[:, triples[1]] = state.points
+        converged = np.abs(state.intrinsics - last).max() < 0.01
+        if converged or np.abs(state.intrinsics).max() > _MOST_OFFSET:
             break
-    points = tracks.points.tracks.select(tracks.own)
     covariance = find_covariance(
         state,
         seen,
         freedom,
-        period=points.time_blocks(config.uncertainty.time_blocks),
-        joint=points.keypoint,
-        scale=last_scale,
+        period=own.tracks.time_blocks(config.uncertainty.time_blocks),
+        joint=own.tracks.keypoint,
+        scale=loss_scale,
     )
     sigma = np.sqrt(freedom.by_view[:, -1] @ np.diag(covariance.cautious))
-    return adjusted, tau, sigma
+    adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
+    return adjusted, state.intrinsics[:, 0], sigma
 
 
 def _at_size_of(rig: CameraRig, state: State) -> State:
@@ -288,8 +232,8 @@ def _move_detections(
     positions = recording.positions.copy()
     frames = len(poses.frames)
     for view in np.flatnonzero(time).tolist():
-        for start in range(0, frames, _BLOCK):
-            block = np.arange(start, min(start + _BLOCK, frames))
+        for rows in frame_slices(frames):
+            block = np.arange(frames)[rows]
             shift = _image_motion(rig, view, poses, block, float(time[view]))
             labels = matches.labels[view, block]
             frame, instance = np.nonzero(labels >= 0)

@@ -10,7 +10,7 @@ from scipy.linalg import null_space
 from mocap_calib.adjust import refine
 from mocap_calib.adjust.covariance import _inverse_at_size
 from mocap_calib.adjust.problem import free_intrinsics
-from mocap_calib.clocks.evidence import along_map
+from mocap_calib.clocks.maps import along_map
 from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import nearest_rotation
@@ -79,11 +79,11 @@ def test_the_inverse_at_a_size_is_that_of_all_that_leaves_it():
 def test_stretches_are_whole_and_spread_over_the_recording():
     labels = np.zeros((2, 100, 1), dtype=np.int64)
     labels[:, 40:60] = -1
-    found = _choose_stretches(Matches(labels), 10, budget=200, stretch=5)
-    starts = found.reshape(-1, 5)[:, 0]
-    assert (found.reshape(-1, 5) == starts[:, None] + np.arange(5)).all()
+    found = _choose_stretches(Matches(labels), 10, budget=400).reshape(-1, 10)
+    starts = found[:, 0]
+    assert (found == starts[:, None] + np.arange(10)).all()
     assert len(starts) == 4
-    assert (starts[0], starts[-1]) == (0, 95)
+    assert (starts[0], starts[-1]) == (0, 90)
     assert not ((starts >= 40) & (starts < 60)).any()
 
 

@@ -1,26 +1,29 @@
-"""The agreement of cameras in any two frames, and what it is evidence of.
+"""The clock of each camera: constant offset, frame rate, lost frames, and the evidence for it.
 
 A camera's *map* is its own frame at each frame of a clock that is common to all. Given the maps of
-the others, the agreement of a camera with them is a table over its own frames.
+the others, the agreement of a camera with them is a table over its own frames. Constant offsets
+maximise it. Then each camera is tried at other frame rates, and at last with lost frames: steps of
+the ridge of its table, found by Viterbi's algorithm with a penalty for each step.
 
 Evidence is counted in nats: by how much it favours a map over the frame numbers as they are, given
 the spread of the agreement over blocks of time.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.clocks.compare import LEAST_FRAMES, Pair, Singles
-from mocap_calib.config import DECISIVE_NATS
+from mocap_calib.config import CLOCK_RATES, DECISIVE_NATS
 from mocap_calib.kernels import clocks as kernels
 from mocap_calib.kernels.loading import contiguous
-from mocap_calib.recording.sampling import usual_step
-from mocap_calib.types import Bools, CameraClock, ClockKind, Floats, Ints, Recording
+from mocap_calib.types import Bools, CameraClock, ClockKind, Floats, Ints
 
 _BLOCKS = 25  # of time: neighbouring frames err alike, blocks do not
-LEAST_BLOCK = 5  # frames
+_LEAST_BLOCK = 5  # frames
+_STEP_PENALTY = 3.0  # of a step of a map, in standard deviations of the agreement of a pair
+LARGEST_STEP = 4  # frames that a camera may be ahead by at once, where the others lost so many
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,11 @@ class Agreements:
     views: int
     values: Mapping[Pair, Singles]
     window: int
+
+    @classmethod
+    def of(cls, views: int, values: Mapping[Pair, Singles], window: int) -> "Agreements":
+        """Return agreements that are not yet in standard deviations; NaN where nothing is known."""
+        return cls(views, {pair: _standardise(each) for pair, each in values.items()}, window)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -57,37 +65,28 @@ class Timing:
     """The maps of all cameras.
 
     maps: `[view, stretch, frame]` own frames, -1 = none. rates: `[view]` own frames for one of the
-    common clock. agreement: `[view, stretch, frame]` with all partners together; where a map has
-    steps, in blocks of frames that the map was found without.
+    common clock.
     """
 
     maps: Ints
     rates: Floats
-    agreement: Floats
 
     @classmethod
     def synchronous(cls, agreements: Agreements) -> "Timing":
         """Return the timing of frame numbers as they are."""
         shape = (agreements.views, *agreements.shape)
-        maps = np.broadcast_to(np.arange(shape[2]), shape)
-        return cls(maps, np.ones(shape[0]), np.zeros(shape))
+        return cls(np.broadcast_to(np.arange(shape[2]), shape), np.ones(shape[0]))
 
-    def change(self, view: int, own: Ints, rate: float, agreement: Floats) -> "Timing":
+    def change(self, view: int, own: Ints, rate: float) -> "Timing":
         """Return the timing with another map `[stretch, frame]` of one camera."""
-        maps, rates, all_agreement = self.maps.copy(), self.rates.copy(), self.agreement.copy()
-        maps[view], rates[view], all_agreement[view] = own, rate, agreement
-        return Timing(maps, rates, all_agreement)
+        maps, rates = self.maps.copy(), self.rates.copy()
+        maps[view], rates[view] = own, rate
+        return Timing(maps, rates)
 
     def offsets(self, view: int) -> Ints:
-        """Return the offsets `[frame]` of one camera where its map is known."""
+        """Return the offsets `[stretch, frame]` of one camera from its rate."""
         time = np.arange(self.maps.shape[2])
-        return (self.maps[view] - np.round(self.rates[view] * time).astype(np.int64))[
-            self.maps[view] >= 0
-        ]
-
-    def is_constant(self, view: int) -> bool:
-        """Return whether the map of a camera has no step."""
-        return np.ptp(self.offsets(view)) == 0 if len(self.offsets(view)) else True
+        return self.maps[view] - np.round(self.rates[view] * time).astype(np.int64)
 
 
 def evidence(difference: Floats, shown: Bools) -> float:
@@ -107,13 +106,13 @@ def evidence(difference: Floats, shown: Bools) -> float:
 
 def time_blocks(frames: int) -> Ints:
     """Return the block `[frame]` of each of so many frames: 25 at most, of 5 frames at least."""
-    count = min(_BLOCKS, frames // LEAST_BLOCK)
+    count = min(_BLOCKS, frames // _LEAST_BLOCK)
     return np.arange(frames) * count // max(frames, 1)
 
 
-def standardise(values: Singles, like: Singles) -> Singles:
-    """Return agreement in standard deviations of another one from its median, 0 = not known."""
-    known = like[np.isfinite(like)]
+def _standardise(values: Singles) -> Singles:
+    """Return agreement in standard deviations from its median, 0 = not known."""
+    known = values[np.isfinite(values)]
     if not len(known):
         return np.zeros_like(values)
     scaled = (values - np.median(known)) / max(float(known.std()), 1e-3)
@@ -152,6 +151,153 @@ def along_map(table: Floats, own: Ints, rate: float) -> tuple[Floats, Bools]:
     return np.where(shown, np.take_along_axis(table, index, 2)[..., 0], 0.0), shown
 
 
+# The maps that agree best
+
+
+def find_timing(agreements: Agreements, *, constant: bool = False) -> Timing:
+    """Return the maps of all cameras that agree best, by the clock that most cameras share.
+
+    constant: offsets alone, no rates and no lost frames.
+    """
+    timing = _constant_timing(agreements)
+    for change in () if constant else (_with_other_rate, _with_steps):
+        timing = _improve(agreements, timing, change)
+    return timing
+
+
+def _constant_timing(agreements: Agreements) -> Timing:
+    """Return the timing of the constant offsets of which none can be changed for the better.
+
+    Each camera is placed beside those before it, then all are changed in turn.
+    """
+    timing = Timing.synchronous(agreements)
+    for view in range(agreements.views):
+        placed = [other for other in agreements.partners(view) if other < view]
+        timing = _at_best_constant(agreements, timing, view, 1.0, placed)
+    for _ in range(10):
+        before = timing
+        for view in range(agreements.views):
+            timing = _at_best_constant(agreements, timing, view, 1.0, agreements.partners(view))
+        if np.array_equal(before.maps, timing.maps):
+            break
+    offsets = np.array(
+        [timing.offsets(view)[timing.maps[view] >= 0][0] for view in range(agreements.views)]
+    )
+    values, first, count = np.unique(offsets, return_index=True, return_counts=True)
+    common = values[np.lexsort((first, -count))[0]]
+    own = np.arange(agreements.shape[1]) + (offsets - common)[:, None, None]
+    own = np.where((own >= 0) & (own < agreements.shape[1]), own, -1)
+    return replace(timing, maps=np.broadcast_to(own, timing.maps.shape))
+
+
+def _at_best_constant(
+    agreements: Agreements, timing: Timing, view: int, rate: float, partners: Sequence[int]
+) -> Timing:
+    """Return the timing with one camera at a rate and at its best constant offset from partners."""
+    window = max(0, min(2 * agreements.window, agreements.shape[1] - LEAST_FRAMES))
+    table = camera_table(agreements, timing.maps, view, rate, partners, window=window)
+    if not table.any():
+        return timing
+    path = np.full(table.shape[:2], table.sum((0, 1)).argmax())
+    return _with_path(agreements, timing, view, path - window, rate)
+
+
+def _with_path(
+    agreements: Agreements, timing: Timing, view: int, path: Ints, rate: float
+) -> Timing:
+    """Return the timing with one camera on a path `[stretch, frame]` of offsets."""
+    time = np.arange(path.shape[1])
+    own = np.round(rate * time).astype(np.int64) + path
+    shown = (own >= 0) & (own < agreements.shape[1]) & np.isclose(rate * time % 1, 0)
+    return timing.change(view, np.where(shown, own, -1), rate)
+
+
+Change = Callable[[Agreements, Timing, int], tuple[Timing, Floats]]
+
+
+def _improve(agreements: Agreements, timing: Timing, change: Change) -> Timing:
+    """Return the timing with a change of those cameras of which it is decisively better.
+
+    One camera after the other, the one that gains most first: what is wrong with one camera shows
+    in the tables of all.
+
+    change: returns a timing with another map of a camera, and its agreement `[stretch, frame]`.
+    """
+    left = [view for view in range(agreements.views) if agreements.partners(view)]
+    while left:
+        gains = []
+        for view in left:
+            before, known = _agreement(agreements, timing, view)
+            changed, after = change(agreements, timing, view)
+            known &= changed.maps[view] >= 0
+            if evidence(after - before, known) >= DECISIVE_NATS:
+                gains.append((float((after - before)[known].sum()), view, changed))
+        if not gains:
+            break
+        _, view, timing = max(gains, key=lambda each: each[0])
+        left.remove(view)
+    return timing
+
+
+def _agreement(agreements: Agreements, timing: Timing, view: int) -> tuple[Floats, Bools]:
+    """Return the agreement `[stretch, frame]` of a camera with its partners; where it is known."""
+    rate, partners = float(timing.rates[view]), agreements.partners(view)
+    window = agreements.shape[1]
+    table = camera_table(agreements, timing.maps, view, rate, partners, window=window)
+    return along_map(table, timing.maps[view], rate)
+
+
+def _with_other_rate(agreements: Agreements, timing: Timing, view: int) -> tuple[Timing, Floats]:
+    """Return the timing with one camera at the rate, other than 1, at which it agrees best."""
+    partners, found = agreements.partners(view), []
+    for rate in CLOCK_RATES:
+        if rate != 1.0:
+            changed = _at_best_constant(agreements, timing, view, rate, partners)
+            agreement, shown = _agreement(agreements, changed, view)
+            found.append((agreement.sum() / max(shown.sum(), 1), changed, agreement))
+    _, changed, agreement = max(found, key=lambda each: each[0])
+    return changed, agreement
+
+
+def _with_steps(agreements: Agreements, timing: Timing, view: int) -> tuple[Timing, Floats]:
+    """Return the timing with the map of one camera that may have steps.
+
+    A path bends to the noise of single frames: its agreement is that of paths found without the
+    blocks of frames that they predict.
+    """
+    rate, partners = float(timing.rates[view]), agreements.partners(view)
+    # lost frames add up: in the end a clock may be off by more than at the beginning
+    reach = min(2 * agreements.window, agreements.shape[1] // 2)
+    table = camera_table(agreements, timing.maps, view, rate, partners, window=reach)
+    path = follow_ridge(table, len(partners))
+    held_out = np.zeros(table.shape[:2])
+    block = np.arange(table.shape[1]) // _LEAST_BLOCK % 2
+    for part in (0, 1):
+        other = follow_ridge(np.where((block == part)[:, None], 0.0, table), len(partners))
+        predicted = np.take_along_axis(table, other[..., None], 2)[..., 0]
+        held_out[:, block == part] = predicted[:, block == part]
+    return _with_path(agreements, timing, view, path - reach, rate), held_out
+
+
+def follow_ridge(table: Floats, partners: int) -> Ints:
+    """Return the index of an offset `[stretch, frame]` for each frame, which seldom changes.
+
+    It maximises the agreement less a penalty for each step (Viterbi's algorithm). A camera that
+    lost frames falls behind by one of its frames at a time, as it never shows an earlier one again;
+    where the others lost some, it is ahead by several at once.
+
+    table: `[stretch, frame, offset]`, the sum over so many partners, which err alike.
+    """
+    paths = np.empty(table.shape[:2], dtype=np.int64)
+    price = _STEP_PENALTY * np.sqrt(partners)
+    for part, path in zip(contiguous(*table), paths, strict=True):
+        kernels.follow(part, price, LARGEST_STEP, path)
+    return paths
+
+
+# The evidence for a map
+
+
 def _margin(table: Floats, agreement: Floats, shown: Bools) -> float:
     """Return by how many nats a map is better than any distant constant offset.
 
@@ -170,9 +316,7 @@ def _margin(table: Floats, agreement: Floats, shown: Bools) -> float:
     return evidence(agreement - table[..., rival], shown)
 
 
-def weigh(
-    agreements: Agreements, in_step: Agreements, timing: Timing, view: int
-) -> dict[str, float]:
+def weigh(agreements: Agreements, timing: Timing, view: int) -> dict[str, float]:
     """Return the evidence for the map of one camera.
 
     score: agreement with the other cameras, in standard deviations over all pairs of frames.
@@ -180,8 +324,6 @@ def weigh(
     margin: nats by which it is more than at any one offset that is no neighbour.
 
     Cameras that differ alike are no evidence: they would agree as well if all of them were in step.
-
-    in_step: the agreement under the rotations of pairs that are in step.
     """
     witnesses = _witnesses(agreements, timing, view)
     own, rate = timing.maps[view], float(timing.rates[view])
@@ -189,29 +331,13 @@ def weigh(
     agreement, shown = along_map(table, own, rate)
     if not witnesses or not shown.any():
         return {"score": 0.0, "gain": 0.0, "margin": 0.0, "partners": 0.0}
-    if not timing.is_constant(view):
-        agreement = timing.agreement[view]
-    found = {
+    numbered = camera_table(agreements, timing.maps, view, 1.0, witnesses, window=0)[..., 0]
+    return {
         "score": float(agreement[shown].mean()) / len(witnesses),
-        "gain": 0.0,
+        "gain": evidence(agreement - numbered, shown),
         "margin": _margin(table, agreement, shown),
         "partners": float(len(witnesses)),
     }
-    time = np.arange(own.shape[1])
-    if (own != time)[own >= 0].any():
-        common = [(timing.maps[other] == time).all() for other in range(agreements.views)]
-        values = {
-            (a, b): (in_step.values if common[a + b - view] else agreements.values)[a, b]
-            for a, b in agreements.values
-            if view in (a, b)
-        }
-        known = [
-            camera_table(each, timing.maps, view, 1.0, witnesses, window=0)[..., 0]
-            for each in (agreements, replace(agreements, values=values))
-        ]
-        as_numbered = max(known, key=np.sum)
-        found["gain"] = evidence(agreement - as_numbered, shown)
-    return found
 
 
 def _witnesses(agreements: Agreements, timing: Timing, view: int) -> list[int]:
@@ -225,19 +351,6 @@ def _witnesses(agreements: Agreements, timing: Timing, view: int) -> list[int]:
         if not (known.any() and apart.mean() <= 1 and apart.mean() < late.mean()):
             found.append(other)
     return found
-
-
-# The clock of a camera: its kind, and from which frame on which offset holds
-
-
-def frame_numbers(recording: Recording, stretches: Ints) -> Ints:
-    """Return the numbers `[stretch, frame]` of frames, also of those that are not there.
-
-    stretches: `[stretch, frame]` indices of the frames of a recording, -1 = no frame.
-    """
-    step, some = usual_step(recording.frames), (stretches >= 0).argmax(1)
-    number = recording.frames[stretches[np.arange(len(stretches)), some]]
-    return np.asarray((number - some * step)[:, None] + step * np.arange(stretches.shape[1]))
 
 
 def describe_clock(
@@ -255,9 +368,8 @@ def describe_clock(
     window: frames by which it may be early or late at first.
     """
     own, rate = timing.maps[view], float(timing.rates[view])
-    known = own >= 0
-    offset = own - np.round(rate * np.arange(own.shape[1])).astype(np.int64)
-    constant = timing.is_constant(view)
+    known, offset = own >= 0, timing.offsets(view)
+    constant = not known.any() or np.ptp(offset[known]) == 0
     sure = found["margin"] >= DECISIVE_NATS
     within = known.any() and abs(offset[known][0]) <= window
     if rate == 1.0 and not offset[known].any() and known.any():
@@ -303,27 +415,3 @@ def _table(offset: Ints, known: Bools, rate: float, numbers: Ints) -> tuple[tupl
             if not rows or rows[-1][1] != own - counted:
                 rows.append((frame, own - counted))
     return tuple(rows)
-
-
-def combine_clocks(first: CameraClock, second: CameraClock) -> CameraClock:
-    """Return the clock of a camera that still differs after it was put on the first clock.
-
-    Of two clocks that change in time the first alone is kept.
-    """
-    if not second.differs:
-        return first if first.differs or second.kind == "not known" else second
-    if not first.differs:
-        return second
-    if second.kind == "clock":
-        by = second.offset
-        table = tuple((frame - by, offset + by) for frame, offset in first.table)
-        changed = replace(first, offset=first.offset + by, table=table)
-    elif first.kind == "clock":
-        by = first.offset
-        table = tuple((frame, offset + by) for frame, offset in second.table)
-        changed = replace(second, offset=second.offset + by, table=table)
-    else:
-        return first
-    if changed.kind == "clock" and changed.offset == 0:
-        return CameraClock(first.camera, "in step", evidence=second.evidence)
-    return changed
