@@ -30,7 +30,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import Matches, RigCovariance, Uncertainty
 from mocap_calib.rig.tracks import labelled_frames
-from mocap_calib.types import POSE, Bools, Camera, CameraRig, EstimatedCamera, Floats, Ints, Sample
+from mocap_calib.types import POSE, Bools, Camera, CameraRig, EstimatedCamera, Floats, Sample
 
 _SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
 
@@ -47,9 +47,10 @@ def assess_uncertainty(
     covariance = rig_covariance(sample, rig, matches, config)
     free = _free_focal(sample, rig, matches, config)
     off = _intrinsics_changes(sample, rig, matches, config, free=free)
-    unknown = np.full(len(rig.cameras), np.nan)
-    given = None if _any_estimated(rig) else free  # nobody is accused of what was estimated
-    change, sigma = (unknown, unknown) if given is None else (given.change, given.sigma)
+    change, sigma = np.full((2, len(rig.cameras)), np.nan)
+    # what was estimated is not found to be wrong
+    if free is not None and not any(isinstance(each, EstimatedCamera) for each in rig.cameras):
+        change, sigma = free.change, free.sigma
     tells = len(labelled_frames(matches)) >= config.uncertainty.time_blocks
     return Uncertainty(
         covariance=covariance.with_changes(off),
@@ -70,17 +71,13 @@ def _free_focal(
     That is where each was estimated by itself, and where nothing goes with free ones.
     """
     groups = shared_intrinsics(rig.cameras, config.intrinsics)
-    if _any_estimated(rig) and len(np.unique(groups)) == len(rig.cameras):
+    estimated = any(isinstance(camera, EstimatedCamera) for camera in rig.cameras)
+    if estimated and len(np.unique(groups)) == len(rig.cameras):
         return None
     try:
         return free_focal_lengths(sample, rig, matches, config)
     except DegenerateError:
         return None
-
-
-def _any_estimated(rig: CameraRig) -> bool:
-    """Return whether the intrinsics of a camera were estimated from the recording."""
-    return any(isinstance(camera, EstimatedCamera) for camera in rig.cameras)
 
 
 def _intrinsics_changes(
@@ -108,11 +105,11 @@ def assumed_middle_changes(rig: CameraRig, config: UncertaintyConfig) -> Floats:
     rig that takes it to be there. Of cameras whose intrinsics were estimated, and which have it in
     the middle: two changes each, about the two axes of the image.
     """
-    changes = [
-        _middle_changes(rig, view, config.principal_point * max(camera.size))
-        for view, camera in enumerate(rig.cameras)
-        if isinstance(camera, EstimatedCamera) and _is_in_the_middle(camera)
-    ]
+    changes = []
+    for view, camera in enumerate(rig.cameras):
+        beside = np.abs(camera.matrix[:2, 2] - (np.array(camera.size) - 1) / 2).max()
+        if isinstance(camera, EstimatedCamera) and beside <= _SAME_POINT:
+            changes.append(_middle_changes(rig, view, config.principal_point * max(camera.size)))
     return np.concatenate([np.zeros((0, len(rig.cameras), POSE)), *changes])
 
 
@@ -135,12 +132,6 @@ def with_uncertain_corner(
 def _turn_of(changes: Floats) -> Floats:
     """Return by how much `[view]` radians all changes `[change, view, 6]` together turn cameras."""
     return np.asarray(np.sqrt((changes[..., :3] ** 2).sum((0, 2))))
-
-
-def _is_in_the_middle(camera: Camera) -> bool:
-    """Return whether the principal point is in the middle of the image."""
-    middle = (np.array(camera.size) - 1) / 2
-    return bool(np.abs(camera.matrix[:2, 2] - middle).max() <= _SAME_POINT)
 
 
 def _middle_changes(rig: CameraRig, view: int, sigma: float) -> Floats:
@@ -176,28 +167,20 @@ def estimated_focal_changes(
     What the rig changes by when focal lengths that were estimated together become longer by a
     standard deviation and the rig is adjusted again; none where focal lengths were given.
     """
-    sigma = np.array([_log_focal_sigma(camera) for camera in rig.cameras])
-    group = _estimated_together(rig.cameras, sigma, config)
+    sigma = np.array(
+        [
+            camera.focal_sigma / camera.focal if isinstance(camera, EstimatedCamera) else 0.0
+            for camera in rig.cameras
+        ]
+    )
+    kind = shared_intrinsics(rig.cameras, config.intrinsics)
+    # cameras whose focal lengths are one estimate have one sigma
+    _, group = np.unique(np.stack([kind, sigma.round(9)]), axis=1, return_inverse=True)
     changes = [
         _change_with_focal(sample, rig, matches, config, np.where(group == number, sigma, 0.0))
         for number in np.unique(group[sigma > 0])
     ]
     return np.array(changes).reshape(-1, len(rig.cameras), POSE)
-
-
-def _estimated_together(cameras: tuple[Camera, ...], sigma: Floats, config: Config) -> Ints:
-    """Return the number `[view]` of the group of cameras whose focal lengths are one estimate.
-
-    sigma: `[view]` of their logarithms, which is one too.
-    """
-    kind = shared_intrinsics(cameras, config.intrinsics)
-    _, number = np.unique(np.stack([kind, sigma.round(9)]), axis=1, return_inverse=True)
-    return np.asarray(number)
-
-
-def _log_focal_sigma(camera: Camera) -> float:
-    """Return the standard deviation of the logarithm of a focal length, 0 where it was given."""
-    return camera.focal_sigma / camera.focal if isinstance(camera, EstimatedCamera) else 0.0
 
 
 def _change_with_focal(
@@ -269,13 +252,13 @@ def _all_change_alike(change: Floats, sigma: Floats, config: UncertaintyConfig) 
     The mean of the changes weighed by their certainty is that of one focal length that the cameras
     share, and nearly as certain.
     """
-    nobody = np.zeros(len(change), dtype=bool)
+    none = np.zeros(len(change), dtype=bool)
     if len(change) < 3 or not np.isfinite(change).all():
-        return nobody
+        return none
     weight = 1 / sigma**2
     mean = float((change * weight).sum() / weight.sum())
     uncertain = float(np.hypot(np.sqrt(1 / weight.sum()), config.focal_systematic / 2))
     apart = np.abs(change - mean) > 2 * np.hypot(sigma, config.focal_systematic)
     if apart.any() or abs(mean) < config.focal_significance * uncertain:
-        return nobody
+        return none
     return np.asarray(np.sign(mean) * change > sigma)
