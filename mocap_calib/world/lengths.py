@@ -383,14 +383,10 @@ def _split_pair(
     for a, b in ((index_of(first), index_of(second)) for first, second in halves):
         if a is not None and b is not None and a != b:
             return a, b
-    if index_of(text) is not None:
+    strangers = [half for pair in halves for half in pair if index_of(half) is None]
+    if index_of(text) is not None or (halves and not strangers):
         raise MismatchError(
             f"{option} {text}: expected two {what}, as A-B, found one; add the second"
-        )
-    strangers = [half for pair in halves for half in pair if index_of(half) is None]
-    if halves and not strangers:
-        raise MismatchError(
-            f"{option} {text}: expected two {what}, found one of them twice; use another pair"
         )
     stranger = strangers[0] if strangers else text
     raise MismatchError(
