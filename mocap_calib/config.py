@@ -610,8 +610,6 @@ class CueConfig:
         Contini 1966: eyes at 0.936 statures, the vertex at 1, ankles at 0.039, hips at 0.530):
         from the ankle, 0.12 legs over the sole here, eyes are at 0.891 statures for 0.897, the
         top of the head at 0.971 for 0.961.
-    tall_quantile: of the heights of a person over frames: walkers bob. least_frames: in which a
-        person stands, or a length is seen.
     height_sigma: relative, of a stature, however many frames there are, and half of that of a
         length between joints: detectors place joints beside those of anatomy (bones of people -16
         to +12 %, statures -3 to +3 %).
@@ -627,8 +625,6 @@ class CueConfig:
         ("right_ear", 0.945),
         ("nose", 0.930),
     )
-    tall_quantile: float = 0.75
-    least_frames: int = 5
     height_sigma: float = 0.03
     most_residual: float = 3.0
     statures: tuple[float, float] = (0.3, 3.0)
@@ -645,8 +641,8 @@ class WorldConfig:
     cameras: poses of cameras in a known world, to which results are aligned; unit: of their
         lengths. landmarks: points of a known world, to which results are aligned.
     stated_sigma: of places of landmarks and cameras, as a share of their RMS distance from their
-        middle: 2 cm in a room of 4 m. landmark_pixels: of a landmark in an image. turn_sigma: of
-        cameras, in radians.
+        middle: 2 cm in a room of 4 m; and of the axes of cameras, in radians. landmark_pixels: of a
+        landmark in an image.
     most_misfit: in standard deviations, of these and of the rig, above which a world is refused:
         references of rigs that are usable have 0.03 to 1.4, landmarks measured to 1 % up to 1.5,
         a landmark of five that is wrong by it 7 to 30, exchanged axes and made-up cameras 10 to
@@ -663,7 +659,6 @@ class WorldConfig:
     measure: CueConfig = CueConfig()
     stated_sigma: float = 0.01
     landmark_pixels: float = 2.0
-    turn_sigma: float = radians(1.0)
     most_misfit: float = 5.0
 
     @property

@@ -56,7 +56,7 @@ class _Stated:
         misfit, turn, numbers = _rms(off), np.zeros(len(found)), 3 * len(found)
         if self.turned is not None:
             turn = angle_between(self.turned[some], by.rotation)
-            turn_off = turn / np.hypot(config.turn_sigma, self.turn_sigma)[some]
+            turn_off = turn / np.hypot(config.stated_sigma, self.turn_sigma)[some]
             misfit, off, numbers = (
                 max(misfit, _rms(turn_off)),
                 np.maximum(off, turn_off),

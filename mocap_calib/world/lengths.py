@@ -176,14 +176,8 @@ def statures(on: Measurable, config: WorldConfig) -> Floats:
     for k, (column, share) in enumerate(heads):
         above = height[:, :, column]
         own = np.where(stands & (above > 0), above / share, np.nan)
-        found[k] = _quantile_of_enough(own, config.measure.tall_quantile, config.measure)
+        found[k] = quantile_over_frames(own, 0.5)
     return quantile_over_frames(found, 0.5)
-
-
-def _quantile_of_enough(values: Floats, share: float, config: CueConfig) -> Floats:
-    """Return a quantile `[individual]` of `[frame, individual]`, NaN where frames are too few."""
-    enough = np.isfinite(values).sum(0) >= config.least_frames
-    return np.where(enough, quantile_over_frames(values, share), np.nan)
 
 
 def _measure_height(cue: ScaleCue, on: Measurable, config: WorldConfig) -> tuple[float, float]:
@@ -195,8 +189,7 @@ def _measure_height(cue: ScaleCue, on: Measurable, config: WorldConfig) -> tuple
     if not len(found):
         who = f"individual {cue.of}" if cue.of else "someone"
         raise MismatchError(
-            f"--height: expected {who} on a straight leg in {config.measure.least_frames} frames, "
-            f"found no one; {_OTHER_CUES}"
+            f"--height: expected {who} on a straight leg, found no one; {_OTHER_CUES}"
         )
     middle = float(np.median(found))
     low = on.floor.sigma / middle if isinstance(on.floor, Floor) else 0.0
@@ -207,13 +200,12 @@ def _measure_length(cue: ScaleCue, on: Measurable, config: CueConfig) -> tuple[f
     """Return the median distance of two joints, of the median individual."""
     pair = joint_pair(cue.of, on.poses.keypoints, on.joints, "--length")
     lengths = distance(on.poses.positions, *pair)
-    middles = _quantile_of_enough(lengths, 0.5, config)
+    middles = quantile_over_frames(lengths, 0.5)
     middles = middles[np.isfinite(middles)]
     if not len(middles):
-        most = np.isfinite(lengths).sum(0).max(initial=0)
         raise MismatchError(
-            f"--length {cue.of}: expected both joints of a subject in {config.least_frames} "
-            f"frames, found them in {most}; use another pair"
+            f"--length {cue.of}: expected both joints of a subject in one frame, found them in "
+            "none; use another pair"
         )
     return float(np.median(middles)), float(np.hypot(2 * config.height_sigma, _spread(middles)))
 
@@ -248,7 +240,7 @@ def check_unit(positions: Floats, joints: Joints, option: str, config: CueConfig
     """
     ankles = joints.feet if joints.kind == "people" else []
     tall = [
-        _quantile_of_enough(distance(positions, head, ankle) / share, config.tall_quantile, config)
+        quantile_over_frames(distance(positions, head, ankle) / share, 0.5)
         for head, share in ((joints.columns.get(name), share) for name, share in config.head_height)
         for ankle in ankles
         if head is not None
