@@ -21,6 +21,7 @@ from mocap_calib.types import (
     Keypoints2D,
     Recording,
     as_array,
+    check_names,
     intrinsics_of,
 )
 
@@ -67,8 +68,8 @@ def from_arrays(
 
     positions: `[view, frame, instance, keypoint, 2]` pixels, NaN = missing; or
         `[view, frame, keypoint, 2]` of a single subject.
-    confidence: `[view, frame, instance, keypoint]` (or without instances), 0 = missing; None: all
-        detections count alike.
+    confidence: `[view, frame, instance, keypoint]` (or without instances), 0 = missing; None: 1 of
+        all that is detected.
     keypoints: `[keypoint]` names. cameras: `[view]`, in the order of the positions.
     frames: `[frame]` numbers, ascending, each once; None: counted from 0.
     tracked: the instance index names the same individual in all frames; so it does for a single
@@ -77,17 +78,33 @@ def from_arrays(
     Raises ValueError for arrays of other shapes, for frames that do not ascend and for names that
     occur twice, and MismatchError as `from_keypoints` does.
     """
-    from mocap_calib.recording.views import views_from_arrays
+    from mocap_calib.recording.views import split_by_view
 
-    views = views_from_arrays(
-        positions,
-        confidence,
-        keypoints=keypoints,
-        cameras=intrinsics_of(cameras),
-        frames=frames,
-        tracked=tracked,
+    known = intrinsics_of(cameras)
+    check_names("keypoints", keypoints)
+    check_names("cameras", [camera.name for camera in known])
+    given = np.asarray(positions, dtype=np.float64)
+    weight = np.ones(given.shape[:-1]) if confidence is None else np.asarray(confidence, float)
+    alone = given.ndim == 4  # no axis of instances
+    if alone:
+        given, weight = given[:, :, None], np.expand_dims(weight, min(2, weight.ndim))
+    seen = as_array("positions", given, float, len(known), None, None, len(keypoints), 2)
+    weight = as_array("confidence", weight, float, *seen.shape[:-1])
+    present = np.isfinite(seen).all(-1) & (weight > 0)
+    given_frames = np.arange(seen.shape[1]) if frames is None else frames
+    numbers = as_array("frames", given_frames, int, seen.shape[1])
+    if (np.diff(numbers) <= 0).any():
+        raise ValueError("frames: expected numbers that ascend, each once; sort the frames")
+    views = split_by_view(
+        known,
+        keypoints=tuple(keypoints),
+        frames=numbers,
+        positions=np.where(present[..., None], seen, np.nan),
+        confidence=np.where(present, weight, 0.0),
+        tracked=np.full(len(known), tracked or alone),
+        source="arrays",
     )
-    return from_keypoints(views, cameras)
+    return from_keypoints(views, known)
 
 
 def from_keypoints(

@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 # how a 3D point was made, by its number in `Poses3D.source`
-PointSource = Literal["missing", "triangulated", "one view", "interpolated"]
-POINT_SOURCES: tuple[PointSource, ...] = get_args(PointSource)
+POINT_SOURCES = ("missing", "triangulated", "one view", "interpolated")
 
 NO_FRAME = np.iinfo(np.int64).min  # the number of a frame that a camera does not have
 
@@ -747,14 +746,13 @@ class CalibrationResult(Record):
 
 # where a camera of a calibration is: docs/verify.md says what each means
 PlaceWord = Literal["in place", "moved", "focal", "inconsistent", "not checked"]
-PLACE_WORDS: tuple[PlaceWord, ...] = get_args(PlaceWord)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VerifiedCamera(Record):
     """One camera of a calibration, verified by keypoints.
 
-    word: one of `PLACE_WORDS`.
+    word: a `PlaceWord`.
     turn: radians, and shift: in the unit of the rig, by which the camera pose differs from what the
         calibration says, as the other cameras have it; turn_sigma, shift_sigma: their standard
         deviations. NaN where nothing tells.

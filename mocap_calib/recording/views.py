@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
@@ -34,53 +33,8 @@ from mocap_calib.types import (
     Ints,
     Keypoints2D,
     Reals,
-    as_array,
-    check_names,
 )
 from mocap_calib.wording import count
-
-
-def views_from_arrays(
-    positions: ArrayLike,
-    confidence: ArrayLike | None,
-    *,
-    keypoints: Sequence[str],
-    cameras: Sequence[Camera],
-    frames: ArrayLike | None,
-    tracked: bool,
-) -> tuple[Keypoints2D, ...]:
-    """Return the keypoints of each view from arrays of all views, see `Recording.from_arrays`.
-
-    A point is missing where its position is NaN or its confidence 0; without confidences, the
-    confidence of each detected point is 1.
-
-    Raises ValueError for arrays of other shapes, for frames that do not ascend and for names that
-    occur twice.
-    """
-    check_names("keypoints", keypoints)
-    check_names("cameras", [camera.name for camera in cameras])
-    given = np.asarray(positions, dtype=np.float64)
-    weight = np.ones(given.shape[:-1]) if confidence is None else np.asarray(confidence, float)
-    alone = given.ndim == 4  # no axis of instances
-    if alone:
-        given, weight = given[:, :, None], np.expand_dims(weight, min(2, weight.ndim))
-    views, names = len(cameras), len(keypoints)
-    seen = as_array("positions", given, float, views, None, None, names, 2)
-    weight = as_array("confidence", weight, float, *seen.shape[:-1])
-    present = np.isfinite(seen).all(-1) & (weight > 0)
-    given_frames = np.arange(seen.shape[1]) if frames is None else frames
-    numbers = as_array("frames", given_frames, int, seen.shape[1])
-    if (np.diff(numbers) <= 0).any():
-        raise ValueError("frames: expected numbers that ascend, each once; sort the frames")
-    return split_by_view(
-        cameras,
-        keypoints=tuple(keypoints),
-        frames=numbers,
-        positions=np.where(present[..., None], seen, np.nan),
-        confidence=np.where(present, weight, 0.0),
-        tracked=np.full(views, tracked or alone),
-        source="arrays",
-    )
 
 
 def split_by_view(
