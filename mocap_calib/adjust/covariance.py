@@ -1,4 +1,4 @@
-"""The covariance of what was adjusted, where the errors of detections are correlated.
+"""The covariance of what was adjusted, and of the poses of a rig.
 
 Errors of detections are not independent: those of one period are correlated, and those of one
 joint. The inverse of the Hessian, which ignores that, is 1.5 to 10 times too small. The sandwich
@@ -8,16 +8,36 @@ Clustering").
 
 The system of an adjustment keeps the robust weights fixed. The cost itself is less curved: a rig
 errs 1.2 times as far as that system says (Huber 1981: "Robust Statistics", section 7.6).
+
+Position, orientation and size of a rig in the world mean nothing: what counts is how far its
+cameras are from where they should be after the best similarity between the two. So no camera is
+the fixed one, and all have a share of the uncertainty.
+
+The covariance is of first order. Rigs that are barely determined are less linear: rigs adjusted to
+parts of the recording differ more than first order predicts, and the covariance grows with that
+(the delete-a-group jackknife; Shao and Wu 1989: "A General Theory for Jackknife Variance
+Estimation").
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri, fdtri
 
+from mocap_calib.adjust.problem import Problem, choose_problem, free_poses, solve
 from mocap_calib.adjust.residuals import Linearised, Part, Residuals, State, parts_of
-from mocap_calib.adjust.solve import Parameters, eliminate_points, normal_equations
+from mocap_calib.adjust.solve import (
+    Parameters,
+    eliminate_points,
+    normal_equations,
+    optimise_points,
+)
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.types import POSE, Floats, Ints
+from mocap_calib.config import AdjustConfig, Config
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
+from mocap_calib.results import Matches, RigCovariance
+from mocap_calib.types import POSE, Bools, CameraRig, Floats, Ints, Sample
 
 _LEAST_CURVATURE = 0.25  # share of that with fixed weights; measured 0.6 to 0.76
 
@@ -163,3 +183,230 @@ def size_direction(state: State, parameters: Parameters) -> Floats:
     moves = np.zeros(parameters.by_view.shape[:2])
     moves[:, 3:POSE] = state.translation + state.rotation @ first  # 0 of the first
     return np.asarray(parameters.basis.T @ moves.ravel())
+
+
+# --- the poses of a rig
+
+
+@dataclass(frozen=True)
+class FittedRig:
+    """A rig adjusted to the points of a problem; state: the rig and its points."""
+
+    problem: Problem
+    state: State
+
+    @property
+    def rig(self) -> CameraRig:
+        """The adjusted rig."""
+        state = self.state
+        return replace(self.problem.rig, rotation=state.rotation, translation=state.translation)
+
+    def change(self, state: State) -> Floats:
+        """Return the turns `[view, 3]` of the cameras of another state from those of the rig."""
+        rig = replace(self.rig, rotation=state.rotation, translation=state.translation)
+        return rig_change(self.rig, rig)[:, :3]
+
+    def without(self, points: Ints, config: Config) -> State:
+        """Return the state of cameras adjusted to some of the points (indices) alone."""
+        some = self.problem.select(points)
+        start = self.state.with_points(self.state.points[:, points])
+        return _solve_again(start, some, config.adjust)
+
+
+def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> FittedRig:
+    """Return a rig adjusted again, to as many points as its covariance needs.
+
+    Raises as `choose_problem` does.
+    """
+    # correlated detections determine no more by being many
+    problem = choose_problem(sample, rig, matches, config, points=config.uncertainty.points)
+    state = _solve_again(problem.start(), problem, config.adjust)
+    state = optimise_points(state, problem.rays, loss_scale=problem.loss_scale)
+    kept = np.flatnonzero(~_at_a_camera(problem, state, config.uncertainty.least_distance))
+    return FittedRig(problem.select(kept), state.with_points(state.points[:, kept]))
+
+
+def _solve_again(start: State, problem: Problem, config: AdjustConfig) -> State:
+    """Return the state at the minimum that it is close to; its points have yet to be optimised."""
+    poses = free_poses(len(problem.rig))
+    return solve(start, problem.rays, poses, config, last=problem.loss_scale, already_close=True)
+
+
+def _at_a_camera(problem: Problem, state: State, least: float) -> Bools:
+    """Return which points `[N]` are next to a camera that sees them.
+
+    Rays of different things have met there. The image of such a point changes so fast that its
+    rounding errors outweigh all other points. least: distance, in usual ones of the camera.
+    """
+    centres = -np.einsum("vji,vj->vi", state.rotation, state.translation)
+    distance = np.linalg.norm(state.points - centres[:, :, None], axis=1)  # [view, N]
+    distance = np.where(problem.tracks.used, distance, np.nan)
+    usual = np.nanmedian(distance, axis=1, keepdims=True)
+    return np.asarray((distance < least * usual).any(0))
+
+
+def rig_covariance(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> RigCovariance:
+    """Return the covariance of an adjusted rig.
+
+    Intrinsics count as known. Everything is as uncertain as can be where the matched detections do
+    not constrain the rig.
+    """
+    try:
+        fitted = fit_again(sample, rig, matches, config)
+    except DegenerateError:
+        return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
+    return covariance_of(fitted, config)
+
+
+def covariance_of(fitted: FittedRig, config: Config) -> RigCovariance:
+    """Return the covariance of a rig; see `rig_covariance`."""
+    rig, found = fitted.rig, first_order(fitted, config)
+    time, joints = (_of_poses(part, rig) for part in (found.by_time, found.by_joint))
+    of_time, of_joints = _turn_variance(time), _turn_variance(joints)
+    # Rigs without a part differ by `bend` times the first-order prediction; the covariance grows by
+    # bend^4: what parts of the errors do beyond first order, all of them together do once more.
+    usual = config.uncertainty.usual_bend
+    bend = np.sqrt(variance_of_parts(fitted, config) / max(of_time, 1e-30))
+    frames, matched = distinct_frames(fitted.problem), np.unique(fitted.problem.tracks.frame)
+    if frames == 1:  # it has no parts
+        bend = usual
+    elif len(matched) >= config.uncertainty.time_blocks:  # chance alone makes it as large
+        bend /= usual
+    degrees = _degrees_of_freedom(fitted, of_time, of_joints, config)
+    # a single frame does not show what all its joints have in common: it counts twice
+    scale = max(1.0, bend) ** 4 * (1 + 1 / frames) * hotelling_factor(degrees)
+    matrix = found.once * scale * (time.matrix + joints.matrix)
+    with np.errstate(invalid="ignore"):  # where nothing is determined, rounding goes below 0
+        covariance = replace(time, matrix=matrix)
+        known = np.isfinite(bend) and covariance.rotation_sigma.max() < np.pi
+        if not (known and np.isfinite(covariance.centre_sigma).all()):
+            covariance = RigCovariance.unknown(len(rig), rig_size(rig))
+    return covariance
+
+
+def distinct_frames(problem: Problem) -> int:
+    """Return in how many frames the points of a problem are in other places.
+
+    A frame counts where half of the keypoints are farther from where they were seen in the last one
+    that does than noise makes 5 % of them: frames of a subject at rest share their errors.
+    """
+    tracks, keypoints = problem.tracks, problem.tracks.keypoint.max() + 1
+    focal = np.array([camera.focal for camera in problem.rig.cameras])
+    pixels = np.where(tracks.used[:, None], tracks.pixels, np.nan)
+    frames, frame = np.unique(tracks.frame, return_inverse=True)
+    point = tracks.individual * keypoints + tracks.keypoint
+    place = np.full((len(frames), point.max() + 1, len(focal), 2), np.nan)
+    place[frame, point] = np.moveaxis(pixels / (problem.noise * focal)[:, None, None], -1, 0)
+    last, count = place[0], 1
+    for now in place[1:]:
+        apart = ((now - last) ** 2).sum(-1) / 2  # of two detections
+        known = apart[np.isfinite(apart)]
+        if not len(known) or np.median(known) > chdtri(2, 0.05):
+            last, count = now, count + 1
+    return count
+
+
+def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:
+    """Return the covariance of first order with a margin, and that of independent errors.
+
+    The second is too small, but has the shape that the images give it.
+    """
+    found = first_order(fitted, config)
+    return _of_poses(found.cautious, fitted.rig), _of_poses(found.independent, fitted.rig)
+
+
+def first_order(fitted: FittedRig, config: Config) -> Covariance:
+    """Return the covariance of first order of the poses of all cameras but the first."""
+    problem = fitted.problem
+    return find_covariance(
+        fitted.state,
+        problem.rays,
+        free_poses(len(problem.rig)),
+        period=problem.tracks.time_blocks(config.uncertainty.time_blocks),
+        joint=problem.tracks.keypoint,
+        scale=problem.loss_scale,
+    )
+
+
+def _degrees_of_freedom(
+    fitted: FittedRig, of_time: float, of_joints: float, config: Config
+) -> float:
+    """Return the degrees of freedom of a covariance estimated from few clusters.
+
+    Of G clusters G - 1 (Satterthwaite 1946, of the sum of two such variances).
+    """
+    tracks = fitted.problem.tracks
+    periods, joints = (
+        max(len(np.unique(cluster)) - 1, 1)
+        for cluster in (tracks.time_blocks(config.uncertainty.time_blocks), tracks.keypoint)
+    )
+    spread = of_time**2 / periods + of_joints**2 / joints
+    degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
+    return max(degrees, POSE)  # those of a pose
+
+
+def hotelling_factor(degrees: float) -> float:
+    """Return by how much a covariance must grow for its 95 % regions to hold 95 %.
+
+    Regions of three numbers. degrees: of freedom of the covariance. Its own error makes the squared
+    distances those of Hotelling's T^2.
+    """
+    left = degrees - 2
+    return float(3 * degrees / left * fdtri(3, left, 0.95) / chdtri(3, 0.05))
+
+
+def _turn_variance(covariance: RigCovariance) -> float:
+    """Return the sum of the variances of all turns, in square radians."""
+    return float(np.einsum("vivi->", covariance.matrix[:, :3, :, :3]))
+
+
+def _of_poses(matrix: Floats, rig: CameraRig) -> RigCovariance:
+    """Return the covariance of a rig from that of the poses of all cameras but the first.
+
+    The poses are turns w and translations d in the frames of the cameras: R <- exp(w) R and
+    t <- exp(w) t + d move the centre by -R' d.
+    """
+    views, size = len(rig.cameras), rig_size(rig)
+    basis = free_poses(views).basis
+    poses = (basis @ matrix @ basis.T).reshape(views, POSE, views, POSE)
+    to_world = np.zeros((views, POSE, POSE))
+    to_world[:, :3, :3] = np.swapaxes(rig.rotation, 1, 2)
+    to_world[:, 3:, 3:] = -np.swapaxes(rig.rotation, 1, 2) / size
+    turned = np.einsum("vij,vjwk,wlk->viwl", to_world, poses, to_world)
+    half = project_out_similarity(turned.reshape(views, POSE, -1), rig)
+    whole = project_out_similarity(
+        half.reshape(POSE * views, POSE * views).T.reshape(views, POSE, -1), rig
+    )
+    return RigCovariance(matrix=whole.reshape(views, POSE, views, POSE), size=size)
+
+
+# --- rigs of parts of the recording
+
+
+def variance_of_parts(fitted: FittedRig, config: Config) -> float:
+    """Return the variance of all turns (square radians) by rigs without a fifth of the recording.
+
+    By the jackknife; 0 of a single frame.
+    """
+    tracks = fitted.problem.tracks
+    frames = len(np.unique(tracks.frame))
+    if frames == 1:
+        return 0.0
+    part = tracks.time_blocks(min(config.uncertainty.parts, frames))
+
+    def without(number: int) -> Floats:
+        """Return the turns of the cameras without a part."""
+        return fitted.change(fitted.without(np.flatnonzero(part != number), config))
+
+    return jackknife(np.stack([*map_in_threads(without, range(int(part.max()) + 1))]))
+
+
+def jackknife(turns: Floats) -> float:
+    """Return the variance of all turns together, in square radians, by rigs without a part each.
+
+    turns: `[part, view, 3]`.
+    """
+    count = len(turns)
+    return (count - 1) / count * float(((turns - turns.mean(0)) ** 2).sum())

@@ -14,7 +14,6 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from mocap_calib.adjust.motion import Motion
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.lens import image_slopes
 from mocap_calib.kernels import settling as kernels
@@ -85,9 +84,6 @@ class Residuals(Protocol):
         steps: of each point, at most; none leaves the points where they are.
         """
 
-    def select(self, points: Ints, /) -> Self:
-        """Return the residuals of some of the points, given their indices."""
-
     def part(self, views: Ints, block: slice, /) -> Self:
         """Return the residuals of a block of points in some views."""
 
@@ -123,12 +119,6 @@ class RayResiduals:
             metric[view] = np.where(used[view], np.nan_to_num(slopes), 0.0)
         return cls(*contiguous(rays, metric, weight))
 
-    def select(self, points: Ints) -> "RayResiduals":
-        """Return the residuals of some of the points, given their indices."""
-        return RayResiduals(
-            *contiguous(self.rays[..., points], self.metric[..., points], self.weight[:, points])
-        )
-
     def part(self, views: Ints, block: slice) -> "RayResiduals":
         """Return the residuals of a block of points in some views."""
         rays, metric = self.rays[views, :, block], self.metric[views, :, :, block]
@@ -142,46 +132,6 @@ class RayResiduals:
         return _linearise(
             kernels.settle_rays, given, block, state, loss_scale=loss_scale, steps=steps
         )
-
-
-@dataclass(frozen=True)
-class TimedRayResiduals:
-    """Residuals of points that move, against the rays of cameras whose clocks differ.
-
-    The one intrinsic of a camera is the offset of its clock in frames.
-    motion: of the points in the world.
-    """
-
-    rays: RayResiduals
-    motion: Motion
-
-    @property
-    def weight(self) -> Floats:
-        """What each detection counts for."""
-        return self.rays.weight
-
-    def select(self, points: Ints) -> "TimedRayResiduals":
-        """Return the residuals of some of the points, given their indices."""
-        return TimedRayResiduals(self.rays.select(points), self.motion.select(points))
-
-    def part(self, views: Ints, block: slice) -> "TimedRayResiduals":
-        """Return the residuals of a block of points in some views."""
-        return TimedRayResiduals(self.rays.part(views, block), self.motion.select(block))
-
-    def linearise(
-        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
-    ) -> Linearised:
-        """Return the residuals about a state, each point where it is at the time of its view."""
-        motion, offset = self.motion.select(block), state.intrinsics[:, 0]
-        shift = np.matmul(state.rotation, motion.displacement(offset))
-        origin = state.translation[:, :, None] + shift
-        given = origin, self.rays.rays, self.rays.metric, self.weight
-        found = _linearise(
-            kernels.settle_rays, given, block, state, loss_scale=loss_scale, steps=steps
-        )
-        velocity = np.matmul(state.rotation, motion.velocity_after(offset))
-        by_offset = np.einsum("vkin,vin->vkn", found.by_point, velocity)[:, :, None]
-        return replace(found, by_intrinsics=np.ascontiguousarray(by_offset))
 
 
 @dataclass(frozen=True)
@@ -199,11 +149,6 @@ class PixelResiduals:
     pixels: Floats
     sigma: Floats
     weight: Floats
-
-    def select(self, points: Ints) -> "PixelResiduals":
-        """Return the residuals of some of the points, given their indices."""
-        pixels, weight = contiguous(self.pixels[..., points], self.weight[:, points])
-        return replace(self, pixels=pixels, weight=weight)
 
     def part(self, views: Ints, block: slice) -> "PixelResiduals":
         """Return the residuals of a block of points in some views."""
@@ -310,3 +255,74 @@ def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:
     slopes = image_slopes(camera, image).image / depth
     along = np.einsum("kin,in->kn", slopes, image)
     return np.concatenate([slopes, -along[:, None]], axis=1)
+
+
+# --- points that move
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Motion:
+    """The parabolas on which N points move, about where each is in its own frame.
+
+    velocity: `[3, N]` in lengths by frame. acceleration: `[3, N]` in lengths by frame squared.
+    """
+
+    velocity: Floats
+    acceleration: Floats
+
+    def displacement(self, frames: Floats) -> Floats:
+        """Return how far the points move in times `[view]` in frames, `[view, 3, N]`."""
+        time = frames[:, None, None]
+        return time * self.velocity + time**2 / 2 * self.acceleration
+
+    def velocity_after(self, frames: Floats) -> Floats:
+        """Return the velocity of the points after times `[view]` in frames, `[view, 3, N]`."""
+        return self.velocity + frames[:, None, None] * self.acceleration
+
+    def select(self, points: slice | Ints) -> "Motion":
+        """Return the motion of some of the points."""
+        return Motion(self.velocity[:, points], self.acceleration[:, points])
+
+
+@dataclass(frozen=True)
+class TimedRayResiduals:
+    """Residuals of points that move, against the rays of cameras whose clocks differ.
+
+    The one intrinsic of a camera is the offset of its clock in frames.
+    motion: of the points in the world.
+    """
+
+    rays: RayResiduals
+    motion: Motion
+
+    @property
+    def weight(self) -> Floats:
+        """What each detection counts for."""
+        return self.rays.weight
+
+    def part(self, views: Ints, block: slice) -> "TimedRayResiduals":
+        """Return the residuals of a block of points in some views."""
+        return TimedRayResiduals(self.rays.part(views, block), self.motion.select(block))
+
+    def linearise(
+        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
+    ) -> Linearised:
+        """Return the residuals about a state, each point where it is at the time of its view."""
+        motion, offset = self.motion.select(block), state.intrinsics[:, 0]
+        shift = np.matmul(state.rotation, motion.displacement(offset))
+        origin = state.translation[:, :, None] + shift
+        given = origin, self.rays.rays, self.rays.metric, self.weight
+        found = _linearise(
+            kernels.settle_rays, given, block, state, loss_scale=loss_scale, steps=steps
+        )
+        velocity = np.matmul(state.rotation, motion.velocity_after(offset))
+        by_offset = np.einsum("vkin,vin->vkn", found.by_point, velocity)[:, :, None]
+        return replace(found, by_intrinsics=np.ascontiguousarray(by_offset))
+
+
+def motion_between(from_last: Floats, to_next: Floats, step: int) -> Motion:
+    """Return the motion of points that are known `step` frames before and after, too.
+
+    from_last, to_next: `[3, N]` how far they come and go.
+    """
+    return Motion((to_next + from_last) / (2 * step), (to_next - from_last) / step**2)

@@ -148,16 +148,6 @@ def optimise_points(state: State, seen: Residuals, *, loss_scale: float) -> Stat
     return replace(state, points=np.concatenate(list(points), axis=1))
 
 
-def residual_lengths(state: State, seen: Residuals) -> Floats:
-    """Return the lengths `[view, N]` of residuals in standard deviations, 0 where not seen."""
-    no_loss = 1e6  # standard deviations
-    found = np.zeros(seen.weight.shape)
-    for part in parts_of(state, seen):
-        linear = part.seen.linearise(part.block, part.state, no_loss, steps=0)
-        found[part.views, part.points] = np.linalg.norm(linear.residual, axis=1)
-    return found
-
-
 # --- the normal equations
 
 

@@ -16,9 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib.adjust.covariance import find_covariance
-from mocap_calib.adjust.motion import motion_between, smoothness
 from mocap_calib.adjust.problem import Problem, free_clocks, problem_of_frames
-from mocap_calib.adjust.residuals import State, TimedRayResiduals
+from mocap_calib.adjust.residuals import State, TimedRayResiduals, motion_between
 from mocap_calib.adjust.solve import minimise, optimise_points
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
@@ -32,6 +31,7 @@ from mocap_calib.rig.tracks import Tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
+_USUAL_SHARE = 0.98  # of the motions of points, the smaller ones
 _POINTS = 12_000  # that an estimate takes
 _STRETCH = 10  # frames that follow each other, of which the points come
 _LEAST_POINTS = 100  # that move and that a view sees, for its clock to be determined
@@ -269,3 +269,20 @@ def _velocity(poses: Poses3D, block: Ints) -> Floats:
     moved = np.diff(poses.positions[around], axis=0)
     moved = np.where(follows[:, None, None, None], moved, np.nan)
     return mean_of_known(np.stack([moved[:-1], moved[1:]]), 0).reshape(-1, 3).T / step
+
+
+def smoothness(before: Floats, points: Floats, after: Floats) -> float:
+    """Return how smoothly points move: 1 without jerks, 0 as by chance.
+
+    Each is `[3, N]`, the same points in frames that follow each other. Where errors are independent
+    and of variance s^2, or frames do not follow each other, half of the way from before to after
+    varies by s^2 / 2, and the way of a point off the middle of the two by 3 s^2 / 2. The largest
+    motions, which are mistaken identities, do not count.
+    """
+    along = (((after - before) / 2) ** 2).sum(0)
+    aside = ((points - (after + before) / 2) ** 2).sum(0)
+    if not len(along):
+        return 0.0
+    usual = along + aside <= np.quantile(along + aside, _USUAL_SHARE)
+    total = along[usual].sum()
+    return float(1 - aside[usual].sum() / (3 * total)) if total > 0 else 0.0

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.adjust.camera_fit import CameraPose, Seen, Unknown, fit_camera
+from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.refine import adjust_until_stable
-from mocap_calib.adjust.rig_covariance import rig_covariance
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.hypotheses import log_bayes_factor

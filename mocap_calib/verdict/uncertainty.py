@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
 from mocap_calib.adjust.refine import (
     adjust_once,
@@ -21,7 +22,6 @@ from mocap_calib.adjust.refine import (
     find_weak_perspective,
     measure_fit,
 )
-from mocap_calib.adjust.rig_covariance import rig_covariance
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import DECISIVE_NATS, Config, IntrinsicsConfig, UncertaintyConfig
 from mocap_calib.errors import DegenerateError

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.adjust.camera_fit import CameraPose, KnownPoints, place_points, typical_error
+from mocap_calib.adjust.covariance import cautious_covariances, covariance_of, fit_again
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.resection import find_lost_camera
-from mocap_calib.adjust.rig_covariance import cautious_covariances, covariance_of, fit_again
 from mocap_calib.clocks.estimate import estimate_clocks
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocap_calib.adjust.rig_covariance import hotelling_factor
+from mocap_calib.adjust.covariance import hotelling_factor
 
 
 def test_regions_hold_as_many_draws_as_they_say():

@@ -25,7 +25,6 @@ from mocap_calib.adjust.solve import (
     minimise,
     normal_equations,
     optimise_points,
-    residual_lengths,
 )
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import vector_from_matrix
@@ -97,6 +96,12 @@ def seen_pixels(cameras: tuple[Camera, ...], state: State) -> np.ndarray:
 def total_cost(state: State, seen: Residuals, freedom: Parameters) -> float:
     """Return the robust cost and that of intrinsics that differ from what is known beforehand."""
     return robust_cost(state, seen) + float((freedom.precision * state.intrinsics**2).sum())
+
+
+def residual_lengths(state: State, seen: Residuals) -> np.ndarray:
+    """Return the lengths `[view, N]` of residuals in standard deviations, 0 where not seen."""
+    linear = seen.linearise(slice(0, state.points.shape[1]), state, 1e6, steps=0)
+    return np.linalg.norm(linear.residual, axis=1)
 
 
 def slope(seen: RayResiduals, ahead: State, behind: State, distance: float) -> float:

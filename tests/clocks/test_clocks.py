@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 from scenes import PEOPLE, calibrate_group, rotation_errors_deg, scene
 
-from mocap_calib.adjust.motion import Motion, motion_between, smoothness
 from mocap_calib.adjust.refine import adjust
-from mocap_calib.adjust.residuals import RayResiduals, State, TimedRayResiduals
-from mocap_calib.clocks.subframe import find_time_offsets, resample
+from mocap_calib.adjust.residuals import (
+    Motion,
+    RayResiduals,
+    State,
+    TimedRayResiduals,
+    motion_between,
+)
+from mocap_calib.clocks.subframe import find_time_offsets, resample, smoothness
 from mocap_calib.config import Config
 from mocap_calib.recording.sampling import take_sample, usual_step
 from mocap_calib.recording.synchronise import make_recording

@@ -17,8 +17,8 @@ from scenes import (
     truth,
 )
 
+from mocap_calib.adjust.covariance import jackknife
 from mocap_calib.adjust.refine import measure_fit
-from mocap_calib.adjust.rig_covariance import jackknife
 from mocap_calib.config import AveragingConfig, Config, TriangulateConfig
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.identities.pieces import _medians

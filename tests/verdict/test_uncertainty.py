@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scenes import PEOPLE, calibrate_group, calibrated, recording, rotation_errors_deg, scene, truth
 
-from mocap_calib.adjust import rig_covariance as stage
+from mocap_calib.adjust import covariance as stage
+from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.refine import adjust
-from mocap_calib.adjust.rig_covariance import rig_covariance
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
