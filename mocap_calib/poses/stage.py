@@ -6,6 +6,7 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
@@ -34,7 +35,8 @@ from mocap_calib.results import GroupResult, Matches, Poses3D, Smoothing
 from mocap_calib.rig.tracks import gather_tracks, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, silent
 
-_MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
+# of normal vectors in space, in standard deviations of a coordinate
+_MEDIAN_LENGTH = np.sqrt(chdtri(3, 0.5))
 
 
 @dataclass(frozen=True)
@@ -68,16 +70,12 @@ class _Scene:
     config: PosesConfig
 
     @cached_property
-    def bones(self) -> Ints:
-        """`[bone, 2]` keypoints that bones join."""
-        skeleton = load_vocabulary(self.recording.model)
-        bones = edges_of_keypoints(skeleton, self.recording.vocabulary)
-        return np.array(bones, dtype=np.int64).reshape(-1, 2)
-
-    @cached_property
     def edges(self) -> Ints:
         """`[edge, 2]` keypoints whose distance tells: those that one bone joins, or two in turn."""
-        return with_second_neighbours(self.bones, len(self.recording.keypoints))
+        skeleton = load_vocabulary(self.recording.model)
+        bones = edges_of_keypoints(skeleton, self.recording.vocabulary)
+        joined = np.array(bones, dtype=np.int64).reshape(-1, 2)
+        return with_second_neighbours(joined, len(self.recording.keypoints))
 
     @cached_property
     def times(self) -> Floats:

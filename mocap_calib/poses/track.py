@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
+from scipy.special import chdtri
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import do_in_threads
@@ -23,7 +24,7 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 _TRIANGULATED = POINT_SOURCES.index("triangulated")
 _ONE_VIEW = POINT_SOURCES.index("one view")
 _INTERPOLATED = POINT_SOURCES.index("interpolated")
-_MEDIAN_SQUARE = 0.455  # of normal errors of variance 1
+_MEDIAN_SQUARE = chdtri(1, 0.5)  # of normal errors of variance 1
 ROUNDS = 5  # of reweighting: lengths of bones, and the median of accelerations
 _BLOCK = 1000  # frames that are fitted at once, besides margins of four longest gaps
 
