@@ -102,7 +102,7 @@ def all_pairs(estimator: Estimator) -> Method:
         every_b = np.broadcast_to(rays_b[:, None], shape).reshape(-1, 3)
         forward = (np.stack([every_a[:, 2], every_b[:, 2]]) > LEAST_FORWARD).all(0)
         trials = FivePointConfig().ransac_iterations
-        pose = estimator(every_a[forward], every_b[forward], threshold, trials=trials)
+        pose = estimator(every_a[forward], every_b[forward], threshold, trials)
         if pose is None:
             return None
         return Found(*pose, np.argwhere(match_by_pose(rays_a, rays_b, pose, threshold)))
@@ -114,7 +114,7 @@ def opencv(method: int) -> Estimator:
     """Return OpenCV's robust estimation of an essential matrix by this method."""
 
     def estimate(
-        rays_a: Floats, rays_b: Floats, threshold: float, *, trials: int
+        rays_a: Floats, rays_b: Floats, threshold: float, trials: int
     ) -> RelativePose | None:
         if len(rays_a) < FIVE_POINT_LEAST_JOINTS:
             return None

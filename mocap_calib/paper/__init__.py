@@ -4,10 +4,10 @@ The baseline is here: five-point RANSAC over matches of detections. `solver` has
 imports torch.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,10 @@ FIVE_POINT_LEAST_JOINTS = 5  # determine an essential matrix
 
 RelativePose = tuple[Floats, Floats]  # R [3, 3] and t [3] of b_from_a
 
+# Of rays [N, 3] of both views, a threshold in radians and trials (draws of five points), the pose
+# that most rays agree on; None where there is none.
+Estimator = Callable[[Floats, Floats, float, int], RelativePose | None]
+
 
 class Found(NamedTuple):
     """A relative pose b_from_a and who is who.
@@ -46,18 +50,6 @@ class Found(NamedTuple):
     rotation: Floats
     translation: Floats
     matches: Ints
-
-
-class Estimator(Protocol):
-    """What finds a relative pose among points of which some are wrong matches."""
-
-    def __call__(
-        self, rays_a: Floats, rays_b: Floats, threshold: float, *, trials: int
-    ) -> RelativePose | None:
-        """Return R and unit t of b_from_a that most of the rays `[N, 3]` agree on.
-
-        threshold: in radians. trials: draws of five points. None where no model is found.
-        """
 
 
 @dataclass(frozen=True)
@@ -72,7 +64,7 @@ class _Problem:
 
 
 def estimate_by_loransac(
-    rays_a: Floats, rays_b: Floats, threshold: float, *, trials: int
+    rays_a: Floats, rays_b: Floats, threshold: float, trials: int
 ) -> RelativePose | None:
     """Return the relative pose by COLMAP's LO-RANSAC of five points, as an `Estimator` does.
 
@@ -105,7 +97,7 @@ def five_point_over_matches(
     threshold: float,
     rng: np.random.Generator,
     *,
-    config: FivePointConfig | None = None,
+    config: FivePointConfig = FivePointConfig(),
     estimator: Estimator = estimate_by_loransac,
 ) -> Found | None:
     """Run RANSAC over matches of detections, five-point (Nister 2004) on their joints.
@@ -117,7 +109,7 @@ def five_point_over_matches(
     rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
     threshold: Sampson's angle in radians. Returns None where no model is found.
     """
-    problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig(), estimator)
+    problem = _Problem(rays_a, rays_b, threshold, config, estimator)
     best, most = None, 0.0
     for matched in _candidates(problem, rng):
         pose = _estimate_pose(problem, matched)
@@ -174,7 +166,7 @@ def _estimate_pose(problem: _Problem, matched: Bools) -> RelativePose | None:
     if len(rays_a) < FIVE_POINT_LEAST_JOINTS:
         return None
     trials = problem.config.ransac_iterations
-    return problem.estimator(rays_a, rays_b, problem.threshold, trials=trials)
+    return problem.estimator(rays_a, rays_b, problem.threshold, trials)
 
 
 def _correspondences(problem: _Problem, matched: Bools) -> tuple[Floats, Floats]:

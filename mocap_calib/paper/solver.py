@@ -7,7 +7,7 @@ reference; `pairs.solve` is the program's own. Pairs of views and tries run in o
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -70,14 +70,12 @@ class PaperSolution:
     translation: `[3]` of b_from_a, a direction.
     matches: `[match, 3]` rows (frame, i, j).
     error: mean reprojection error in pixels, infinite without a match.
-    tries: how many starts were needed.
     """
 
     rotation: Floats
     translation: Floats
     matches: Ints
     error: float
-    tries: int
 
 
 def solve_pair(
@@ -126,7 +124,6 @@ def solve_pairs(
         for k, solution in zip(unsolved, found, strict=True):
             if k not in best or solution.error < best[k].error:
                 best[k] = solution
-            best[k] = replace(best[k], tries=number)
     return [best[k] for k in sorted(best)]
 
 
@@ -252,7 +249,7 @@ def _solution(batch: Batch, k: int, vector: Tensor, mutual: Tensor) -> PaperSolu
         )
         error = float(np.minimum(error_px, _FAR_PX).mean())
     matches = torch.nonzero(mutual).numpy().astype(np.int64)
-    return PaperSolution(rotation, translation, matches, error, tries=1)
+    return PaperSolution(rotation, translation, matches, error)
 
 
 def translation_direction(rotation: Floats, rays_a: Floats, rays_b: Floats) -> Floats:
