@@ -116,7 +116,8 @@ def draw_rig(poses: Path, kind: str) -> Figure:
     axes = figure.add_subplot(projection="3d")
     _draw_cameras(axes, reference.centres, reference.rotation, TRUE)
     for rig, colour in ((group.averaged.rig, FIRST), (group.rig, FINAL)):
-        scale, rotation, translation = align_by_similarity(with_axes(rig), with_axes(reference))
+        points, targets = (with_axes(each).reshape(-1, 3) for each in (rig, reference))
+        scale, rotation, translation = align_by_similarity(points, targets)
         centres = scale * rig.centres @ rotation.T + translation
         _draw_cameras(axes, centres, rig.rotation @ rotation.T, colour)
     edges = edges_of_keypoints(skeleton, sample.vocabulary)

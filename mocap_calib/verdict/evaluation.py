@@ -96,14 +96,14 @@ def lay_over(rig: CameraRig, reference: CameraRig, views: Views) -> CameraRig:
 
     By the best similarity; views: indices or names, of both alike.
     """
-    points, targets = (with_axes(each.select(views)) for each in (rig, reference))
+    points, targets = (with_axes(each.select(views)).reshape(-1, 3) for each in (rig, reference))
     scale, turn, shift = align_by_similarity(points, targets)
     centres = scale * rig.centres @ turn.T + shift
     return replace(rig, unit=reference.unit).stand(rig.rotation @ turn.T, centres)
 
 
 def with_axes(rig: CameraRig) -> Floats:
-    """Return the centres, and near each six points on the camera's axes, `[7 camera, 3]`.
+    """Return the centre of each camera, and near it six points on its axes, `[camera, 7, 3]`.
 
     Where the centres are on a line, those of two cameras for instance, they leave the rotation
     about it open, and the axes decide.
@@ -111,9 +111,8 @@ def with_axes(rig: CameraRig) -> Floats:
     offset = rig.centres - rig.centres.mean(0)
     spread = np.sqrt((offset**2).sum(1).mean())
     # rows of cam_from_world are the camera's axes in world coordinates
-    axes = _AXIS_LENGTH * spread * rig.rotation.reshape(-1, 3)
-    origins = np.repeat(rig.centres, 3, axis=0)
-    return np.concatenate([rig.centres, origins + axes, origins - axes])
+    axes, centres = _AXIS_LENGTH * spread * rig.rotation, rig.centres[:, None]
+    return np.concatenate([centres, centres + axes, centres - axes], axis=1)
 
 
 def _pair_error(rig: CameraRig, reference: CameraRig, a: str, b: str) -> tuple[float, float]:

@@ -52,18 +52,17 @@ class _Stated:
         by = align_by_similarity(found.reshape(-1, 3), known.reshape(-1, 3))
         distance = np.linalg.norm(by.apply(found[:, 0]) - known[:, 0], axis=1)
         stated = config.stated_sigma * _extent(known[:, 0])
-        off = distance / np.hypot(stated, by.scale * self.sigma[some])
-        misfit, turn, numbers = _rms(off), np.zeros(len(found)), 3 * len(found)
+        offs, turn = (
+            [distance / np.hypot(stated, by.scale * self.sigma[some])],
+            np.zeros(len(found)),
+        )
         if self.turned is not None:
             turn = angle_between(self.turned[some], by.rotation)
-            turn_off = turn / np.hypot(config.stated_sigma, self.turn_sigma)[some]
-            misfit, off, numbers = (
-                max(misfit, _rms(turn_off)),
-                np.maximum(off, turn_off),
-                2 * numbers,
-            )
+            offs.append(turn / np.hypot(config.stated_sigma, self.turn_sigma)[some])
+        numbers = 3 * len(found) * len(offs)
         free = max(numbers - 7, 1)  # the similarity follows 7 of the numbers
-        return _Fit(by, distance, turn, off, float(np.sqrt(numbers / free) * misfit))
+        misfit = np.sqrt(numbers / free) * max(map(_rms, offs))
+        return _Fit(by, distance, turn, np.max(offs, axis=0), float(misfit))
 
     def is_mirrored(self, config: WorldConfig) -> bool:
         """Return whether the mirror image of the places fits, and they themselves do not."""
@@ -108,8 +107,8 @@ def align_to_cameras(
         unit=config.unit,
         things="cameras",
         names=target.names,
-        found=_axes_of_each(own),
-        known=_axes_of_each(target),
+        found=with_axes(own),
+        known=with_axes(target),
         sigma=(covariance.size * covariance.centre_sigma)[order],
         turned=np.swapaxes(target.rotation, 1, 2) @ own.rotation,
         turn_sigma=covariance.rotation_sigma[order],
@@ -120,13 +119,6 @@ def align_to_cameras(
         f"{_describe_distance(stated, fit)}, RMS angle {np.degrees(_rms(fit.turn)):.1f} deg"
     )
     return fit.by, _scale_sigma(fit.by, stated), remark
-
-
-def _axes_of_each(rig: CameraRig) -> Floats:
-    """Return the centre of each camera and points on its axes, `[view, 7, 3]`."""
-    centres, ahead, behind = np.split(with_axes(rig), [len(rig), 4 * len(rig)])
-    parts = (part.reshape(len(rig), -1, 3) for part in (centres, ahead, behind))
-    return np.concatenate(list(parts), axis=1)
 
 
 def stated_rig(known: Sequence[KnownCamera], names: Sequence[str]) -> CameraRig:
@@ -252,12 +244,11 @@ def _fit_or_refuse(stated: _Stated, config: WorldConfig) -> _Fit:
             f"{stated.option}: expected {stated.things} in right-handed axes, found that their "
             "mirror image fits the recording; exchange two axes of the file, or negate one"
         )
-    least = LEAST_LANDMARKS if stated.turned is None else 2
-    culprit = None
-    if len(everything) > least:
-        culprit = find_culprit(
-            lambda some: stated.fit(some, config).misfit <= config.most_misfit, len(everything)
-        )
+    culprit = find_culprit(
+        lambda some: stated.fit(some, config).misfit <= config.most_misfit,
+        len(everything),
+        least=LEAST_LANDMARKS if stated.turned is None else 2,
+    )
     worst, advice = int(np.argmax(fit.off)), "correct the file"
     if culprit is not None:
         worst = culprit
@@ -270,13 +261,13 @@ def _fit_or_refuse(stated: _Stated, config: WorldConfig) -> _Fit:
     )
 
 
-def find_culprit(agree: Callable[[Bools], bool], number: int) -> int | None:
+def find_culprit(agree: Callable[[Bools], bool], number: int, *, least: int) -> int | None:
     """Return the index of the one thing without which the others agree, None unless it is one.
 
-    agree: of those that a mask `[N]` leaves.
+    agree: of those that a mask `[N]` leaves. least: so few always agree.
     """
     found = []
-    for index in range(number):
+    for index in range(number if number > least else 0):
         try:
             if agree(np.arange(number) != index):
                 found.append(index)

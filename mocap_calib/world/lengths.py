@@ -113,8 +113,7 @@ def find_scale(cues: Sequence[ScaleCue], on: Measurable, config: WorldConfig) ->
             """Return whether the cues that a mask leaves agree with each other."""
             return not (np.abs(_combine(logs[some], sigma[some])[1]) > most).any()
 
-        culprit = find_culprit(agree, len(cues)) if len(cues) > 2 else None
-        raise _contradiction(measured, culprit)
+        raise _contradiction(measured, find_culprit(agree, len(cues), least=2))
     return Scale(factor, float(np.sqrt(1 / (1 / sigma**2).sum())), measured)
 
 
