@@ -83,10 +83,11 @@ def _define_feet(feet: Mapping[str, Any], known: Mapping[str, int]) -> dict[str,
     found = {}
     for name, groups in feet.items():
         for side in _SIDES:
-            spelt = [[f"{side}{joint}" for joint in group] for group in groups]
-            own = [[known[joint] for joint in group if joint in known] for group in spelt]
+            own = [
+                [known[side + each] for each in group if side + each in known] for group in groups
+            ]
             if any(own):
-                found[f"{side}{name}"] = tuple(next(group for group in own if group))
+                found[side + name] = tuple(next(filter(None, own)))
     return found
 
 
@@ -219,17 +220,15 @@ def _contacts(
     velocity: `[frame, individual, keypoint, 3]` per second.
     """
     world = poses.world
-    if not (np.isfinite(world.up).all() and np.isfinite(world.floor).all()):
+    if not np.isfinite([world.up, world.floor]).all():
         return {}, "the poses do not say where the floor is"
     if fps is None:
         return {}, "the frame rate is unknown (use --fps)"
     if not definitions.feet:
         return {}, "the keypoints have no feet"
     if not definitions.legs:
-        return (
-            {},
-            "the keypoints have no whole leg (hip, knee, foot), which heights are measured by",
-        )
+        why = "the keypoints have no whole leg (hip, knee, foot), which heights are measured by"
+        return {}, why
     leg = leg_lengths(poses.positions, definitions.legs)
     reach = round(_CONFIG.window * fps)
     found = {}
@@ -237,8 +236,7 @@ def _contacts(
         own = list(points)
         above = (poses.positions[:, :, own] - world.floor) @ world.up
         height = average_around(poses.frames, above, reach)
-        mean_velocity = average_around(poses.frames, velocity[:, :, own], reach)
-        speed = np.linalg.norm(mean_velocity, axis=-1)
+        speed = np.linalg.norm(average_around(poses.frames, velocity[:, :, own], reach), axis=-1)
         contacts = find_contacts(height, speed, leg)
         known = np.isfinite(contacts)
         any_ = np.where(known, contacts, 0.0).max(-1)
@@ -269,9 +267,7 @@ def find_contacts(height: Floats, speed: Floats, leg: Floats) -> Floats:
     """
     length = leg[:, None]
     rest = quantile_over_frames(height, _CONFIG.rest_quantile)
-    most = (
-        2 * _CONFIG.contact_height * length
-    )  # an ankle's is 0.1; more is a body that never stands
+    most = 2 * _CONFIG.contact_height * length  # an ankle's is 0.1; more: it never stands
     rest = np.clip(rest, -most, most)
     with np.errstate(invalid="ignore"):
         low = height - rest < _CONFIG.contact_height * length
@@ -307,15 +303,14 @@ def average_around(frames: Ints, values: Floats, reach: int) -> Floats:
 
     NaN stays where a value itself is missing.
     """
-    total, count = np.zeros(values.shape), np.zeros(values.shape)
+    low, high = (
+        np.searchsorted(frames, frames - reach),
+        np.searchsorted(frames, frames + reach, side="right"),
+    )
     known = np.isfinite(values)
-    filled = np.where(known, values, 0.0)
-    for shift in range(-min(reach, len(frames) - 1), min(reach, len(frames) - 1) + 1):
-        here = slice(max(0, -shift), len(frames) - max(0, shift))
-        there = slice(max(0, shift), len(frames) - max(0, -shift))
-        near = np.abs(frames[there] - frames[here]) <= reach
-        total[here][near] += filled[there][near]
-        count[here][near] += known[there][near]
+    sums = np.zeros((2, len(frames) + 1, *values.shape[1:]))
+    np.cumsum([np.where(known, values, 0.0), known], axis=1, out=sums[:, 1:])
+    total, count = sums[:, high] - sums[:, low]
     return np.where(known, total / np.maximum(count, 1), np.nan)
 
 

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from mocap_calib.results import CalibrationResult, GroupResult
-from mocap_calib.types import ARBITRARY, Camera, CameraRig, EstimatedCamera, Floats
+from mocap_calib.types import Camera, CameraRig, EstimatedCamera, Floats, describe_unit
 from mocap_calib.wording import count
 
 _HEADER = ("camera", "image", "focal length (px)", "centre")
@@ -18,8 +18,7 @@ _SIGMAS = ("rotation (deg, 1 SD)", "centre (% of the rig, 1 SD)")
 
 def describe_rig(rig: CameraRig) -> str:
     """Return a rig as HTML: each camera, its focal length and its centre."""
-    unit = "arbitrary lengths" if rig.unit == ARBITRARY else f"lengths in {rig.unit}"
-    title = f"<p><b>{escape(count(len(rig), 'camera'))}</b>, {escape(unit)}</p>"
+    title = f"<p><b>{escape(count(len(rig), 'camera'))}</b>, {escape(describe_unit(rig.unit))}</p>"
     return f"{title}{_table(_HEADER, _describe_cameras(rig))}"
 
 
