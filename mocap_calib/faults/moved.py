@@ -107,7 +107,7 @@ def _find_changes(observed: Observed, rig: CameraRig, view: int, config: Config)
     epochs, evidence = find_epochs(
         CameraPoses(pose.rotation[None], pose.translation[None]),
         seen,
-        config.moved,
+        config,
         least_noise=config.triangulate.least_noise_px / sample.cameras[view].focal,
     )
     if not evidence:
