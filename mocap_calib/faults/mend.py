@@ -16,7 +16,7 @@ from mocap_calib.faults.compare import Alternative, find_exchanged_cameras, find
 from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.faults.words import clock_faults, describe
 from mocap_calib.recording.corrections import Sides, apply_mends
-from mocap_calib.results import CalibrationResult, Clocks, Fault, GroupResult, Mend
+from mocap_calib.results import VERDICTS, CalibrationResult, Clocks, Fault, GroupResult, Mend
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.observed import Observed
 from mocap_calib.types import Recording
@@ -113,7 +113,10 @@ def _try_correction(
     new: tuple[Fault, ...],
     calibrate: Calibrate,
 ) -> _Correction | None:
-    """Return new faults and the calibration with them corrected, None where it explains no more."""
+    """Return new faults and the calibration with them corrected, None where it explains no more.
+
+    Nor where the corrected rig is not determined: what is said of a camera rests on the others.
+    """
     try:
         corrected = calibrate(apply_mends(recording, mends_of((*known, *new))))
         others = _sides_of_others(new, calibrated[0], corrected[0])
@@ -121,6 +124,8 @@ def _try_correction(
             new = others
             corrected = calibrate(apply_mends(recording, mends_of((*known, *new))))
     except DegenerateError:
+        return None
+    if corrected[1].groups[0].verdict == VERDICTS[-1]:
         return None
     before, after = _explained_shares(recording, [calibrated, corrected])
     nats = min(float(fault.evidence["nats"]) for fault in new)
@@ -159,26 +164,25 @@ def _may_be_reflected(faults: Sequence[Fault], result: CalibrationResult) -> boo
 def _sides_of_others(
     found: Sequence[Fault], observed: Observed, corrected: Observed
 ) -> tuple[Fault, ...]:
-    """Return the faults of the two others of three cameras where one had its sides right.
+    """Return the faults of the others where cameras that differ from them had their sides right.
 
-    Geometry shows only that one differs from two. But no body bends its knees backwards: the
-    lifting network is less certain of detections whose sides are exchanged.
+    Geometry shows only that these differ from those. But no body bends its knees backwards: the
+    lifting network is less certain of detections whose sides are exchanged. Of more than two
+    others for each the others are right.
 
-    observed, corrected: what was known with the sides of the camera as they are, and exchanged.
+    observed, corrected: what was known with the sides of the cameras as they are, and exchanged.
     """
-    names = observed.recording.names
-    if len(names) != 3 or len(found) != 1 or not isinstance(found[0].mend, Sides):
+    names = [fault.camera for fault in found if isinstance(fault.mend, Sides)]
+    others = [name for name in observed.recording.names if name not in names]
+    if len(names) < len(found) or len(others) > 2 * len(names):
         return ()
-    fault = found[0]
-    rise = log_spread(corrected, fault.camera) - log_spread(observed, fault.camera)
+    rises = [log_spread(corrected, name) - log_spread(observed, name) for name in names]
+    rise = float(np.mean(rises))
     if not rise > _UNNATURAL_SIDES:
         return ()
-    mends = [Sides(name) for name in names if name != fault.camera]
-    evidence = {**fault.evidence, "spread": rise}
-    return tuple(
-        replace(fault, camera=mend.camera, says=describe(mend), evidence=evidence, mend=mend)
-        for mend in mends
-    )
+    evidence = {**found[0].evidence, "spread": rise}
+    mends = [Sides(name) for name in others]
+    return tuple(Fault(mend.camera, mend.word, describe(mend), evidence, mend) for mend in mends)
 
 
 def log_spread(observed: Observed, camera: str) -> float:

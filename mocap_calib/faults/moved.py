@@ -12,7 +12,7 @@ import numpy as np
 from mocap_calib.adjust.camera_fit import CameraPoses
 from mocap_calib.adjust.resection import Sightings, sightings_of
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import VERDICT_LIMITS_DEG, Config, MovedConfig
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.faults.changes import (
     Epochs,
     change_at_a_glance,
@@ -29,7 +29,7 @@ from mocap_calib.recording.timeline import own_name
 from mocap_calib.results import Fault, GroupResult, Matches
 from mocap_calib.rig.observed import Look, Observed, PlacedCameras, choose_frames, place_bodies
 from mocap_calib.rig.tracks import per_frame_labels
-from mocap_calib.types import Camera, CameraRig, EstimatedCamera, Ints, Recording
+from mocap_calib.types import CameraRig, Ints, Recording
 
 _GLANCED_DETECTIONS = 120  # of one camera, for a first look
 _CANDIDATES = 3  # cameras that are held against their leave-one-out rig
@@ -130,11 +130,9 @@ def _describe_changes(
     centres = -np.einsum("pji,pj->pi", poses.rotation, poses.translation)
     angles = np.rad2deg(angle_between(poses.rotation[:-1], poses.rotation[1:])).tolist()
     shifts = np.linalg.norm(np.diff(centres, axis=0), axis=1) / rig_size(changed.others.rig)
-    camera = group.rig.cameras[changed.view]
-    least_angle, least_shift = _least_change(camera, config.moved)
     faults = []
     for change, (angle, shift) in enumerate(zip(angles, shifts.tolist(), strict=True)):
-        if angle < least_angle and shift < least_shift:
+        if angle < config.moved.least_angle_deg and shift < config.moved.least_shift:
             continue
         index = _find_frame(recording, group.matches, changed, change, config)
         frame = int(recording.frames[index])
@@ -147,16 +145,6 @@ def _describe_changes(
         says = f"moved at frame {frame}, turned by {angle:.1f} deg"
         faults.append(Fault(name, "moved", says, evidence, Moved(name, frame)))
     return tuple(faults)
-
-
-def _least_change(camera: Camera, config: MovedConfig) -> tuple[float, float]:
-    """Return the angle (degrees) and the shift (rig sizes) below which a change is none.
-
-    A lens whose k1 is wrong by 0.05 bends rays by 0.6 deg at the side of an image, and subjects
-    walk from side to side: of estimated intrinsics three times the change is asked for.
-    """
-    times = 3.0 if isinstance(camera, EstimatedCamera) else 1.0
-    return times * config.least_angle_deg, times * config.least_shift
 
 
 def _find_frame(
