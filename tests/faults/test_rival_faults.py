@@ -9,7 +9,7 @@ from faults.test_fault_hypotheses import CHANGES, plain
 from scenes import calibrate_all, rotation_errors_deg, scene
 
 from mocap_calib.faults.mend import _sides_of_others
-from mocap_calib.recording.corrections import Sides
+from mocap_calib.recording.corrections import Mirrored, Sides
 from mocap_calib.results import Fault
 from mocap_calib.types import Camera, Recording
 
@@ -76,6 +76,14 @@ def test_of_three_cameras_the_two_whose_bodies_look_odd_have_exchanged_sides():
     assert [(each.camera, each.mend) for each in found] == [(n, Sides(n)) for n in ("b", "c")]
     assert all(each.evidence["spread"] == pytest.approx(np.log(1.1)) for each in found)
     assert _sides_of_others([fault], before, better) == ()
-    assert _sides_of_others([fault, fault], before, worse) == ()
+    other = replace(fault, camera="b", mend=Mirrored("b"))
+    assert _sides_of_others([fault, other], before, worse) == ()
+
+
+def test_of_four_cameras_two_may_have_exchanged_sides_but_not_three():
+    """One that differs from three is wrong, whatever its bodies look like."""
     four = ("a", "b", "c", "d")
-    assert _sides_of_others([fault], known(four, [0.3] * 4), known(four, [0.4] * 4)) == ()
+    before, worse = known(four, [0.3] * 4), known(four, [0.4] * 4)
+    a, b = (Fault(name, "sides", "left and right exchanged", {}, Sides(name)) for name in "ab")
+    assert _sides_of_others([a], before, worse) == ()
+    assert [each.camera for each in _sides_of_others([a, b], before, worse)] == ["c", "d"]
