@@ -32,7 +32,6 @@ POSE_TOLERANCE = PairwiseConfig.pose_tolerance
 _AXES = 10  # of the bodies' joints that are compared: bodies differ in few ways
 BLOCK_FRAMES = 30  # of a block of time, which has an offset of its own in the search
 _CELLS = 500_000  # pairs of bodies compared at a time, as many as the cache of a processor holds
-_CLEARLY_BETTER = 0.05  # agreement by which another rate must be better
 _LOSS_SCALE = 1.5  # median distances of rays, at which the loss turns
 _ABSENT = np.float32(-1e6)  # how alike a body is to one that is not there
 
@@ -214,7 +213,7 @@ def _score_at_any_time(
         values = _agreement(a, b, rotation[start : start + each], rows)
         by_rate = [_best_in_blocks(values, rate, rows, window)[0] for rate in CLOCK_RATES]
         scores.append(np.stack(by_rate, 1))
-    return np.concatenate(scores) - _CLEARLY_BETTER * (np.array(CLOCK_RATES) != 1.0)
+    return np.concatenate(scores)
 
 
 def _best_in_blocks(values: Singles, rate: float, rows: Ints, window: int) -> tuple[Floats, Ints]:

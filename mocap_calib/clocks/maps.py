@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.clocks.compare import LEAST_FRAMES, Pair, Singles
-from mocap_calib.config import CLOCK_RATES, DECISIVE_NATS
+from mocap_calib.config import CLOCK_RATES, DECISIVE_NATS, UncertaintyConfig
 from mocap_calib.kernels import clocks as kernels
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Bools, CameraClock, ClockKind, Floats, Ints
 
-_BLOCKS = 25  # of time: neighbouring frames err alike, blocks do not
 _LEAST_BLOCK = 5  # frames
 _STEP_PENALTY = 3.0  # of a step of a map, in standard deviations of the agreement of a pair
 LARGEST_STEP = 4  # frames that a camera may be ahead by at once, where the others lost so many
@@ -105,8 +104,11 @@ def evidence(difference: Floats, shown: Bools) -> float:
 
 
 def time_blocks(frames: int) -> Ints:
-    """Return the block `[frame]` of each of so many frames: 25 at most, of 5 frames at least."""
-    count = min(_BLOCKS, frames // _LEAST_BLOCK)
+    """Return the block `[frame]` of each of so many frames: 20 at most, of 5 frames at least.
+
+    Neighbouring frames err alike, blocks do not.
+    """
+    count = min(UncertaintyConfig.time_blocks, frames // _LEAST_BLOCK)
     return np.arange(frames) * count // max(frames, 1)
 
 

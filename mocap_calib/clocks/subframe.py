@@ -34,7 +34,6 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 _USUAL_SHARE = 0.98  # of the motions of points, the smaller ones
 _POINTS = 12_000  # that an estimate takes
 _STRETCH = 10  # frames that follow each other, of which the points come
-_LEAST_POINTS = 100  # that move and that a view sees, for its clock to be determined
 # 1 = points move without jerks, 0 = as frames of different times would have them. Recordings of
 # moving subjects have 0.6 to 0.96, samples of single frames 0.15 to 0.26
 _LEAST_SMOOTHNESS = 0.5
@@ -80,7 +79,7 @@ def find_time_offsets(
     problem = problem_of_frames(recording, rig, matches, frames, config)
     step = usual_step(recording.frames)
     triples = _find_triples(problem.tracks, recording.frames, step)
-    free = _determined_views(problem, triples)
+    free = _determined_views(problem, triples, config.adjust.least_keypoints)
     if not free.any():
         return unknown
     adjusted, tau, sigma = _estimate(problem, triples, step, free, config)
@@ -131,13 +130,13 @@ def _choose_stretches(matches: Matches, keypoints: int, budget: int) -> Ints:
     return frames[frames < matches.labels.shape[1]]
 
 
-def _determined_views(problem: Problem, triples: Ints) -> Bools:
+def _determined_views(problem: Problem, triples: Ints, least: int) -> Bools:
     """Return the views `[view]` whose clocks can be told from the first one's.
 
-    Points must move, and smoothly, from frame to frame, and views see enough of them.
+    Points must move, and smoothly, from frame to frame, and views see so many of them at least.
     """
     seen = problem.tracks.weight[:, triples[1]] > 0
-    enough = seen.sum(1) >= _LEAST_POINTS
+    enough = seen.sum(1) >= least
     neighbours = (problem.points[:, each] for each in triples)
     if not enough[0] or smoothness(*neighbours) < _LEAST_SMOOTHNESS:
         return np.zeros(len(enough), dtype=bool)
@@ -218,23 +217,13 @@ def resample(
     camera whose offset is 0. Unassigned detections, and those of points that are not known or whose
     motion is not, stay as they are.
     """
-    resampled = recording
-    for _ in range(2):  # the second triangulates what the first has brought nearer together
-        poses = triangulate(resampled, rig, matches, config)
-        resampled = _move_detections(recording, rig, matches, poses, -tau)
-    return resampled
-
-
-def _move_detections(
-    recording: Recording, rig: CameraRig, matches: Matches, poses: Poses3D, time: Floats
-) -> Recording:
-    """Return the recording with detections moved as their points move in a time `[view]`."""
+    poses = triangulate(recording, rig, matches, config)
     positions = recording.positions.copy()
     frames = len(poses.frames)
-    for view in np.flatnonzero(time).tolist():
+    for view in np.flatnonzero(tau).tolist():
         for rows in frame_slices(frames):
             block = np.arange(frames)[rows]
-            shift = _image_motion(rig, view, poses, block, float(time[view]))
+            shift = _image_motion(rig, view, poses, block, -float(tau[view]))
             labels = matches.labels[view, block]
             frame, instance = np.nonzero(labels >= 0)
             moved = np.nan_to_num(shift[frame, labels[frame, instance]])
