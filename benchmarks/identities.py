@@ -1,6 +1,6 @@
 """How firmly the number of individuals of a recording follows, whatever the constants.
 
-Calibrate a recording with each of nine constants times .7 and times 1.4, and count how often as
+Calibrate a recording with each of eight constants times .7 and times 1.4, and count how often as
 many individuals are found as there are. RECORDING is a folder with keypoints/ and intrinsics.toml,
 or the name of one under the folder that MOCAP_CALIB_RECORDINGS names.
 
@@ -22,7 +22,6 @@ CONSTANTS = (
     "pairwise.pose_tolerance",
     "matching.least_affinity",
     "matching.decisive",
-    "pairwise.unlifted_affinity",
     "adjust.low_confidence_share",
     "adjust.outlier",
     "triangulate.outlier",

@@ -83,9 +83,7 @@ class PairwiseConfig:
     pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
     centre_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
-    unlifted_affinity: float = 0.3  # how well a body agrees that was not lifted, beside others
     # refinement
-    points: int = 4000  # joints it looks at
     rounds: int = 2  # of matching and refining
     loss_widths: tuple[float, ...] = (4, 3, 2, 1.5, 1, 1, 1, 1)  # of each step, times `inlier`
 

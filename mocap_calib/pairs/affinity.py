@@ -39,9 +39,8 @@ def match_affinity(
 ) -> tuple[Floats, Floats, Floats]:
     """Return how well detections match: by all cues, by epipolar geometry, by lifted pose alone.
 
-    The first is the epipolar fit times the root of the agreement of the lifted bodies; a body that
-    was not lifted counts as `unlifted_affinity`, unless none of the pair was. Each in 0..1,
-    `[M, frame, I, J]`; the last is 1 for bodies that were not lifted.
+    The first is the epipolar fit times the root of the agreement of the lifted bodies. Each in
+    0..1, `[M, frame, I, J]`; bodies that were not lifted agree by 1.
 
     rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes.
     """
@@ -49,11 +48,10 @@ def match_affinity(
     cells = np.flatnonzero(pair.overlap.lifted)
     pose = np.exp(-0.5 * pose_error(pair, rotation, cells, config))
     bodies = pose / (1 + 0.5 * centre_error(pair, rotation, translation, cells, config))
-    bodies_or_unlifted = np.full(fit.shape, config.unlifted_affinity if len(cells) else 1.0)
-    pose_or_unlifted = np.ones(fit.shape)
-    bodies_or_unlifted.reshape(len(fit), -1)[:, cells] = np.sqrt(bodies)
-    pose_or_unlifted.reshape(len(fit), -1)[:, cells] = pose
-    return fit * bodies_or_unlifted, fit, pose_or_unlifted
+    of_bodies, of_pose = np.ones((2, *fit.shape))
+    of_bodies.reshape(len(fit), -1)[:, cells] = np.sqrt(bodies)
+    of_pose.reshape(len(fit), -1)[:, cells] = pose
+    return fit * of_bodies, fit, of_pose
 
 
 def body_agreement(

@@ -256,13 +256,10 @@ def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseCon
     return Scored(hypotheses, matched, explained * in_front * np.sqrt(agreement), in_front)
 
 
-def refine_scored(
-    pair: ViewPair, scored: Scored, config: PairwiseConfig, rng: np.random.Generator
-) -> Scored:
+def refine_scored(pair: ViewPair, scored: Scored, config: PairwiseConfig) -> Scored:
     """Refine each hypothesis on its matches; keep the step where the score does not fall."""
     hypotheses = scored.hypotheses
-    found = [matched_rays(pair, matched) for matched in scored.matched]
-    rays = [of_one[rng.permutation(len(of_one))[: config.points]] for of_one in found]
+    rays = [matched_rays(pair, matched) for matched in scored.matched]
     size = max(map(len, rays))
     if size == 0:
         return scored

@@ -186,13 +186,13 @@ def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCali
     """
     if problem.shared_frames == 0:
         return None
-    pair, rng = problem.pair, problem.rng
-    hypotheses = search_hypotheses(pair, problem.tracked, config, rng)
+    pair = problem.pair
+    hypotheses = search_hypotheses(pair, problem.tracked, config, problem.rng)
     if len(hypotheses) == 0:
         return None
     current = score_hypotheses(pair, hypotheses, config)
     for _ in range(config.rounds):
-        current = refine_scored(pair, current, config, rng)
+        current = refine_scored(pair, current, config)
         distinct = well_separated(
             current.hypotheses.rotation,
             current.score,

@@ -94,11 +94,6 @@ class MatchedRays:
     def __len__(self) -> int:
         return len(self.a)
 
-    def __getitem__(self, index: Ints) -> "MatchedRays":
-        return MatchedRays(
-            self.a[index], self.b[index], self.weight[index], self.body_sizes_per_radian[index]
-        )
-
     def in_blocks(self, size: int) -> Floats:
         """Return `[block, 8, LANES]` components, padded with rays of weight 0 to `size` rays."""
         filled = np.zeros((-(-size // LANES) * LANES, 8))

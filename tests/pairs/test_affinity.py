@@ -106,7 +106,7 @@ def test_affinity_is_the_epipolar_fit_times_the_root_of_the_agreement_of_bodies(
     pair, config, poses = ten_frames_of_two_views(), PairwiseConfig(), poses_of_some_hypotheses()
     affinity, fit, pose = match_affinity(pair, poses.rotation, poses.translation, config)
     bodies = body_agreement(pair, poses.rotation, poses.translation, config)
-    expected = np.where(pair.overlap.lifted > 0, np.sqrt(bodies), config.unlifted_affinity)
+    expected = np.where(pair.overlap.lifted > 0, np.sqrt(bodies), 1.0)
     np.testing.assert_allclose(affinity, fit * expected, rtol=1e-9)
     assert (pose[:, pair.overlap.lifted == 0] == 1).all()
 
