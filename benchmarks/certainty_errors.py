@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import EPOCH_MARK
-from mocap_calib.geometry.alignment import rig_change
-from mocap_calib.geometry.rotation import angle_between, nearest_rotation
+from mocap_calib.geometry.rotation import angle_between, nearest_rotation, rig_change
 from mocap_calib.results import GroupResult
 from mocap_calib.types import CameraRig, Floats
 

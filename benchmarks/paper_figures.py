@@ -15,7 +15,7 @@ from paper_cells import RIG_FRAMES, RIG_VIEWS, SEED, Data, scenes
 from protocol_methods import METHODS, Problem, load_models
 from protocol_scenes import KINDS
 
-from mocap_calib.geometry.alignment import align_by_similarity
+from mocap_calib.geometry.rotation import align_by_similarity
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton
 from mocap_calib.training.model import load_steerer, steer

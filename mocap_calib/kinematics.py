@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import KinematicsConfig
-from mocap_calib.geometry.alignment import mean_of_known
-from mocap_calib.geometry.rotation import direction_angle
+from mocap_calib.geometry.rotation import direction_angle, mean_of_known
 from mocap_calib.recording.joints import (
     choose_skeleton,
     edges_of_keypoints,

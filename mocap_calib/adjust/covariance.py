@@ -35,7 +35,7 @@ from mocap_calib.adjust.solve import (
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
+from mocap_calib.geometry.rotation import project_out_similarity, rig_change, rig_size
 from mocap_calib.results import Matches, RigCovariance
 from mocap_calib.types import POSE, Bools, CameraRig, Floats, Ints, Sample
 

@@ -9,9 +9,8 @@ from mocap_calib.adjust.residuals import State
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.alignment import with_size_of
 from mocap_calib.geometry.lens import points_in_cameras, project_views
-from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.geometry.rotation import angle_between, with_size_of
 from mocap_calib.results import Adjusted, LiftedPoses, Matches
 from mocap_calib.rig.associate import associate, have_same_groups
 from mocap_calib.rig.factorization import factorise, label_single_subject

@@ -37,7 +37,7 @@ from mocap_calib.clocks.maps import (
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import DECISIVE_NATS, Config, SyncConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.alignment import mean_of_known
+from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.recording.sampling import choose_stretches, take_sample, usual_step

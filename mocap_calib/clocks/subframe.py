@@ -21,7 +21,7 @@ from mocap_calib.adjust.residuals import State, TimedRayResiduals, motion_betwee
 from mocap_calib.adjust.solve import minimise, optimise_points
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
-from mocap_calib.geometry.alignment import mean_of_known
+from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.mapped import frame_slices
 from mocap_calib.recording.sampling import evenly_spaced, take_sample, usual_step
 from mocap_calib.recording.synchronise import hide_blind_spots

@@ -14,9 +14,8 @@ from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.hypotheses import log_bayes_factor
-from mocap_calib.geometry.alignment import changed_rig
 from mocap_calib.geometry.lens import pixels_from_points
-from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.geometry.rotation import changed_rig, nearest_rotation
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, Matches, RigCovariance

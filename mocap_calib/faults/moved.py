@@ -21,8 +21,7 @@ from mocap_calib.faults.changes import (
 )
 from mocap_calib.faults.compare import Alternative
 from mocap_calib.faults.leave_one_out import OtherCameras, leave_out, pose_beside
-from mocap_calib.geometry.alignment import rig_size
-from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.geometry.rotation import angle_between, rig_size
 from mocap_calib.recording.corrections import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.recording.timeline import own_name

@@ -1,7 +1,6 @@
 """Two views, on unit rays, so that any camera model is welcome.
 
-The essential matrix and poses, batched over leading axes; and the homography that maps one image of
-a plane to another (Hartley and Zisserman 2004, section 4.1, direct linear transform, and 13.1).
+The essential matrix and poses, batched over leading axes, and the fundamental matrix.
 """
 
 from itertools import product
@@ -39,20 +38,6 @@ def sampson_angle(matrix: Floats, rays_a: Floats, rays_b: Floats) -> Floats:
     # the component along the ray is the value itself, in both views
     slope = (from_a**2).sum(-1) + (from_b**2).sum(-1) - 2 * value**2
     return value / np.sqrt(np.maximum(slope, 1e-18))
-
-
-def sampson_distance(matrix: Floats, points_a: Floats, points_b: Floats) -> Floats:
-    """Return the signed epipolar errors `[N]` of matches in pixels, to first order.
-
-    Sampson's error (Hartley and Zisserman 2004, eq. 11.9).
-
-    matrix: `[3, 3]` fundamental matrix. points_a, points_b: `[N, 2]` pixels.
-    """
-    ones = np.ones((len(points_a), 1))
-    points_a, points_b = np.hstack([points_a, ones]), np.hstack([points_b, ones])
-    line_b, line_a = points_a @ matrix.T, points_b @ matrix
-    slope = (line_b[:, :2] ** 2).sum(1) + (line_a[:, :2] ** 2).sum(1)
-    return np.asarray((line_b * points_b).sum(1) / np.sqrt(np.maximum(slope, 1e-18)))
 
 
 def depths(
@@ -145,38 +130,3 @@ def _decompose_essential(matrix: Floats) -> list[tuple[Floats, Floats]]:
     return [
         (rotation, sign * translation) for rotation, sign in product((first, second), (1.0, -1.0))
     ]
-
-
-_STEPS = 6  # of reweighting
-
-
-def homography_errors(points: Floats, images: Floats) -> Floats:
-    """Return the errors `[N]` of the homography that maps most points to their images.
-
-    By direct linear transform, reweighted by Cauchy's loss at two medians.
-
-    points, images: `[N, 2]`; the errors are in the unit of the images.
-    """
-    (points, _), (images, scale) = _normalise(points), _normalise(images)
-    points = np.column_stack([points, np.ones(len(points))])
-    weight, depth = np.ones(len(points)), np.ones(len(points))
-    for _ in range(_STEPS):
-        rows = np.zeros((2, len(points), 9))
-        rows[0, :, :3], rows[1, :, 3:6] = points, points
-        rows[..., 6:] = -images.T[..., None] * points
-        rows *= (np.sqrt(weight) / depth)[:, None]
-        flat = rows.reshape(-1, 9)
-        matrix = np.linalg.eigh(flat.T @ flat)[1][:, 0].reshape(3, 3)
-        mapped = points @ matrix.T
-        depth = np.maximum(np.abs(mapped[:, 2]), 1e-9)
-        mapped = mapped[:, :2] / np.where(mapped[:, 2:] < 0, -depth[:, None], depth[:, None])
-        error = np.linalg.norm(mapped - images, axis=1)
-        weight = 1 / (1 + (error / (2 * np.median(error) + 1e-12)) ** 2)
-    return np.asarray(error * scale)
-
-
-def _normalise(points: Floats) -> tuple[Floats, float]:
-    """Return points `[n, 2]` about their middle in units of their usual distance, and this unit."""
-    offset = points - np.median(points, axis=0)
-    scale = float(np.median(np.linalg.norm(offset, axis=1))) + 1e-12
-    return offset / scale, scale

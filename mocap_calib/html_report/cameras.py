@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.alignment import rig_size
-from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.geometry.rotation import angle_between, rig_size
 from mocap_calib.html_report.source import Reference, ReportSource
 from mocap_calib.recording.timeline import list_epochs, views_by_camera
 from mocap_calib.types import CameraRig, Floats, PosedCamera

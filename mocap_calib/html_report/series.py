@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.geometry.alignment import mean_of_known
+from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import pack_floats
 from mocap_calib.html_report.frames import quantiles, split_evenly

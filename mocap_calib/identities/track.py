@@ -18,7 +18,7 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.alignment import mean_of_known
+from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.identities.pieces import (
     SAMPLE,
     BoneLengths,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.geometry.alignment import mean_of_known
+from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.inspection.finding import InspectConfig
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.names import keypoint_meanings, views_named

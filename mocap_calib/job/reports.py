@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.config import EPOCH_MARK
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.geometry.alignment import rig_size
+from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import Reference, ReportSource, Seen
 from mocap_calib.io.atomic import write_bytes

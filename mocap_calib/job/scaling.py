@@ -14,7 +14,7 @@ import numpy as np
 
 from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.alignment import rig_size
+from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, write_pieces
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig

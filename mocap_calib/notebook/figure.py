@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.alignment import rig_size
-from mocap_calib.geometry.rotation import looking_along
+from mocap_calib.geometry.rotation import looking_along, rig_size
 from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import GroupResult

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from mocap_calib.config import CORNER_OFFSET
-from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.results import Poses3D
 from mocap_calib.types import ARBITRARY, METRES, Camera, CameraRig, Floats
 from mocap_calib.wording import colour_of, rgb

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
-from mocap_calib.geometry.alignment import body_size
+from mocap_calib.geometry.rotation import body_size
 from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.poses.fit import Strengths, covariances, fit, squared_errors
 from mocap_calib.poses.track import (

@@ -18,8 +18,14 @@ from scipy.special import chdtrc, fdtrc
 
 from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG, VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.alignment import align_by_similarity, gauge_of, rig_size
-from mocap_calib.geometry.rotation import angle_between, direction_angle, vector_from_matrix
+from mocap_calib.geometry.rotation import (
+    align_by_similarity,
+    angle_between,
+    direction_angle,
+    gauge_of,
+    rig_size,
+    vector_from_matrix,
+)
 from mocap_calib.results import RigCovariance
 from mocap_calib.types import POSE, Bools, CameraRig, Floats, Record, Views
 

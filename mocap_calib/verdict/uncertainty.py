@@ -25,8 +25,8 @@ from mocap_calib.adjust.refine import (
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import DECISIVE_NATS, Config, IntrinsicsConfig, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
 from mocap_calib.geometry.lens import change_intrinsics
+from mocap_calib.geometry.rotation import project_out_similarity, rig_change, rig_size
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import Matches, RigCovariance, Uncertainty
 from mocap_calib.rig.tracks import labelled_frames

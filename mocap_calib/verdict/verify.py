@@ -20,8 +20,8 @@ from mocap_calib.clocks.estimate import estimate_clocks
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
-from mocap_calib.geometry.alignment import rig_size
 from mocap_calib.geometry.lens import change_intrinsics, pixels_from_points
+from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.provenance import judgement, round_sigma
 from mocap_calib.lift.lift import RememberedLift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model

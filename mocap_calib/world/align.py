@@ -12,8 +12,7 @@ import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError, suggest
-from mocap_calib.geometry.alignment import Similarity, align_by_similarity, rig_size
-from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.geometry.rotation import Similarity, align_by_similarity, angle_between, rig_size
 from mocap_calib.recording.timeline import views_by_camera
 from mocap_calib.results import RigCovariance
 from mocap_calib.rig.triangulate import triangulate_pixels

@@ -13,7 +13,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import FloorConfig
-from mocap_calib.geometry.alignment import body_size, mean_of_known
+from mocap_calib.geometry.rotation import body_size, mean_of_known
 from mocap_calib.kinematics import leg_lengths
 from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.joints import choose_skeleton, match_names

@@ -11,7 +11,7 @@ import numpy as np
 
 from mocap_calib.config import CueConfig, ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.geometry.alignment import body_size
+from mocap_calib.geometry.rotation import body_size
 from mocap_calib.kinematics import quantile_over_frames
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.timeline import views_by_camera

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from report_pages import page_data, unpack, unpack_text
 
-from mocap_calib.geometry.alignment import rig_size
+from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib_cli.commands import report

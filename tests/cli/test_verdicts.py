@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from mocap_calib.errors import MocapCalibError
-from mocap_calib.geometry.alignment import Similarity
+from mocap_calib.geometry.rotation import Similarity
 from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.job import steps
 from mocap_calib.job.load import KeypointSource

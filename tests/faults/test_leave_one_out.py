@@ -9,7 +9,7 @@ from scenes import scene
 from mocap_calib.adjust.camera_fit import CameraPose, Seen, fit_camera, shift_of_unknowns
 from mocap_calib.config import CameraFitConfig, Config
 from mocap_calib.faults import leave_one_out
-from mocap_calib.geometry.alignment import changed_rig, project_out_similarity, rig_change
+from mocap_calib.geometry.rotation import changed_rig, project_out_similarity, rig_change
 from mocap_calib.types import CameraRig
 
 FREE = ("log_focal", "x", "y")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocap_calib.geometry.alignment import body_size, mean_of_known
+from mocap_calib.geometry.rotation import body_size, mean_of_known
 
 
 def test_the_mean_skips_what_is_missing():

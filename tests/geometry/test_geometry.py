@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.epipolar import (
     depths,
     essential_matrix,
@@ -17,6 +16,7 @@ from mocap_calib.geometry.epipolar import (
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import (
+    align_by_similarity,
     angle_between,
     direction_angle,
     looking_along,

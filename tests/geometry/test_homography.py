@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from mocap_calib.geometry.epipolar import (
-    essential_matrix,
-    fundamental_matrix,
-    homography_errors,
-    sampson_distance,
-)
+from mocap_calib.geometry.epipolar import essential_matrix, fundamental_matrix
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.inspection.view_pairs import homography_errors, sampson_distance
 
 NOISE = 1e-3  # radians
 

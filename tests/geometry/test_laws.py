@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocap_calib.geometry.alignment import align_by_similarity, body_size
 from mocap_calib.geometry.epipolar import (
     depths,
     essential_matrix,
@@ -17,7 +16,9 @@ from mocap_calib.geometry.graphs import connected_parts, spanning_tree
 from mocap_calib.geometry.intersection import intersect, median_angles
 from mocap_calib.geometry.lens import pixels_from_points, project, ray_angles
 from mocap_calib.geometry.rotation import (
+    align_by_similarity,
     angle_between,
+    body_size,
     direction_angle,
     looking_along,
     matrix_from_vector,

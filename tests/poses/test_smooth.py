@@ -9,8 +9,7 @@ from scenes import recording, scene, truth
 
 from mocap_calib import mapped
 from mocap_calib.config import Config, PosesConfig
-from mocap_calib.geometry.alignment import Similarity
-from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.geometry.rotation import Similarity, matrix_from_vector
 from mocap_calib.poses import track
 from mocap_calib.poses.fit import Strengths, fit
 from mocap_calib.poses.stage import error_of_mean, smooth_poses

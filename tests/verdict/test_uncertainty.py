@@ -11,8 +11,12 @@ from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.alignment import project_out_similarity, rig_change, rig_size
-from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.geometry.rotation import (
+    matrix_from_vector,
+    project_out_similarity,
+    rig_change,
+    rig_size,
+)
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import GroupResult, Matches, RigCovariance

@@ -5,8 +5,7 @@ import pytest
 from scenes import scene
 
 from mocap_calib.config import Config, FloorConfig
-from mocap_calib.geometry.alignment import rig_size
-from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
+from mocap_calib.geometry.rotation import looking_along, matrix_from_vector, rig_size
 from mocap_calib.results import Poses3D, RigCovariance
 from mocap_calib.types import Camera, CameraRig
 from mocap_calib.world.floor import Floor, find_floor, find_joints

@@ -10,8 +10,7 @@ from test_floor import exact, level_rig, poses_of
 
 from mocap_calib.config import KnownCamera, Landmark, ScaleCue, WorldConfig
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.geometry.alignment import Similarity
-from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.geometry.rotation import Similarity, matrix_from_vector
 from mocap_calib.io.cameras.read import make_rig, parse_content
 from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.landmarks_csv import read_landmarks

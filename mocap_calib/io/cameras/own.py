@@ -11,8 +11,7 @@ from typing import Any
 import yaml
 
 from mocap_calib import __version__
-from mocap_calib.geometry.alignment import rig_size
-from mocap_calib.geometry.rotation import vector_from_matrix
+from mocap_calib.geometry.rotation import rig_size, vector_from_matrix
 from mocap_calib.io.cameras.intrinsics import camera_fields, estimated_fields
 from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.provenance import plain_fields, read_judgement, round_sigma
