@@ -150,9 +150,6 @@ class AveragingConfig:
         that closes less of its triangles, of at least `enough_triangles`; and by no other
         where all pairs between them together close less. Measured in a hall of 64 cameras: right
         pairs between two groups close 0.5 and more, wrong ones up to 0.2.
-    lost_share: a camera is lost where the share of its triangles that close is less than this part
-        of the median share of all cameras, of at least `enough_triangles`. In four halls 25 cameras
-        are lost, 17 of them with less than 0.2; the others have 0.51 and more.
     iterations: of reweighting, and of passing messages between the pairs of triangles.
     """
 
@@ -162,7 +159,6 @@ class AveragingConfig:
     loop_doubt: float = 0.1
     contradicted_share: float = 0.25
     enough_triangles: int = 5
-    lost_share: float = 0.5
     iterations: int = 30
 
     @property

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import AveragingConfig
+from mocap_calib.config import SMALL_RIG, AveragingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import (
@@ -24,7 +24,7 @@ from mocap_calib.geometry.rotation import (
     vector_from_matrix,
 )
 from mocap_calib.results import Averaged, PairwiseCalibration
-from mocap_calib.rig.loops import count_triangles, find_lost_cameras, pairs_in_closed_triangles
+from mocap_calib.rig.loops import count_triangles
 from mocap_calib.types import Camera, CameraRig, Floats, Ints
 
 WEIGHT_AT_SCALE = (1 / (1 + 1)) ** 2  # of Geman and McClure: pairs with less contradict the rig
@@ -101,25 +101,17 @@ def pairs_among(
 def _trusted_pairs(
     cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> tuple[PairwiseCalibration, ...]:
-    """Return the pairs that may join cameras: none between a lost camera and one that is not.
+    """Return the pairs that may join cameras: in a large rig, half of whose triangles close.
 
-    Lost cameras may see a place of their own. A strong pair may join two of them if it has at least
-    the median number of matches of the pairs that loops confirm.
+    A camera that shows a body once or twice fits beside every other camera with a good score, and
+    would join groups that do not belong together. In a small rig a camera that contradicts the
+    others stays, so that its fault can be found and named.
     """
-    lost = find_lost_cameras(cameras, pairs, config)
-    if not lost.any():
+    if cameras <= SMALL_RIG:
         return pairs
-    trusted = tuple(pair for pair in pairs if not lost[[pair.a, pair.b]].any())
-    closes = pairs_in_closed_triangles(trusted, config)
-    matches = [len(pair.matches) for pair, closed in zip(trusted, closes, strict=True) if closed]
-    usual = np.median(matches) if matches else np.inf
-    return trusted + tuple(
-        pair
-        for pair in pairs
-        if lost[[pair.a, pair.b]].all()
-        and pair.score >= config.weak_score
-        and len(pair.matches) >= usual
-    )
+    closed, looked_at = count_triangles(pairs, config)
+    agree = 2 * closed >= looked_at
+    return tuple(pair for pair, agrees in zip(pairs, agree, strict=True) if agrees)
 
 
 def _join_cameras(

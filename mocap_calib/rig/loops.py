@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.config import SMALL_RIG, AveragingConfig
+from mocap_calib.config import AveragingConfig
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.types import Bools, Floats, Ints
@@ -74,56 +74,18 @@ def count_triangles(
 
     Of triangles whose three pairs have a sufficient score.
     """
-    triangles, closes = _judge_triangles(pairs, config)
+    triangles = list_triangles(pairs)
+    usable = np.array([pair.score >= config.least_score for pair in pairs], dtype=bool)
+    triangles = triangles[usable[triangles].all(1)]
+    closes = np.zeros(0, dtype=bool)
+    if len(triangles):
+        answers = stack_hypotheses(tuple(replace(pair, alternatives=()) for pair in pairs), 0.0)
+        # half the weight: within both scales
+        closes = closure_of(answers, triangles, config)[:, 0, 0, 0] >= 0.5
     return (
         np.bincount(triangles[closes].ravel(), minlength=len(pairs)),
         np.bincount(triangles.ravel(), minlength=len(pairs)),
     )
-
-
-def find_lost_cameras(
-    cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
-) -> Bools:
-    """Return the cameras `[view]` whose pairs the loops contradict.
-
-    A camera that shows a body once or twice fits beside every other camera with a good score, and
-    would join groups that do not belong together. The closing share of a camera is the share of
-    its triangles that close. The camera with the smallest share is lost, then the shares are
-    counted again without it, and so on, until all cameras that are left have at least
-    `config.lost_share` of their median share. Of few cameras none is lost: there a camera
-    that contradicts the others stays, so that its fault can be found and named.
-    """
-    lost = np.zeros(cameras, dtype=bool)
-    triangles, closes = _judge_triangles(pairs, config)
-    if cameras <= SMALL_RIG or len(triangles) == 0:
-        return lost
-    views = np.sort([(pair.a, pair.b) for pair in pairs], axis=1)
-    corners = np.column_stack([views[triangles[:, 0]], views[triangles[:, 1], 1]])
-    while True:
-        there = ~lost[corners].any(1)
-        looked_at = np.bincount(corners[there].ravel(), minlength=cameras)
-        closed = np.bincount(corners[there & closes].ravel(), minlength=cameras)
-        enough = looked_at >= config.enough_triangles
-        share = np.where(enough, closed / np.maximum(looked_at, 1), 1.0)
-        least = share.argmin()
-        usual = np.median(share[enough]) if enough.any() else 0.0
-        if share[least] >= config.lost_share * usual:
-            return lost
-        lost[least] = True
-
-
-def _judge_triangles(
-    pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
-) -> tuple[Ints, Bools]:
-    """Return the triangles `[triangle, 3]` of pairs with a sufficient score, and which close."""
-    triangles = list_triangles(pairs)
-    if len(triangles) == 0:
-        return triangles, np.zeros(0, dtype=bool)
-    usable = np.array([pair.score >= config.least_score for pair in pairs], dtype=bool)
-    triangles = triangles[usable[triangles].all(1)]
-    answers = stack_hypotheses(tuple(replace(pair, alternatives=()) for pair in pairs), 0.0)
-    closure = closure_of(answers, triangles, config)[:, 0, 0, 0]
-    return triangles, closure >= 0.5  # half the weight: within both scales
 
 
 def list_triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:

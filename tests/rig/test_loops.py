@@ -10,7 +10,6 @@ from rig.test_graph import hypothesis
 from mocap_calib.config import AveragingConfig
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.rig.averaging import camera_groups
-from mocap_calib.rig.loops import find_lost_cameras
 from mocap_calib.synthetic import ring_rig
 from mocap_calib.types import CameraRig
 
@@ -25,36 +24,21 @@ def rig() -> CameraRig:
     return ring_rig(rng, cameras=24, radius=5.0, height=2.0, size=(1920, 1080), distortion="none")
 
 
-def rooms(*, matches_of_lost: int) -> tuple[PairwiseCalibration, ...]:
+def rooms() -> tuple[PairwiseCalibration, ...]:
     """Return the right pairs of two rooms, and of two cameras beside them that hardly saw anybody.
 
-    These fit everywhere with the best of scores, wrongly, but for the pair of the two. A right pair
-    has 40 matches.
+    These fit everywhere with the best of scores, wrongly.
     """
     world, rng = rig(), np.random.default_rng(1)
-    pairs = []
-    for a, b in combinations(range(24), 2):
-        if b in LOST and a not in LOST:
-            found = hypothesis(world, a, b, 0.95, rng)
-            pairs.append(replace(found, matches=np.zeros((1, 3), int)))
-        elif b in LOST or (a < ROOMS[0]) == (b < ROOMS[0]):
-            found = hypothesis(world, a, b, 0.8)
-            count = matches_of_lost if b in LOST else 40
-            pairs.append(replace(found, matches=np.zeros((count, 3), int)))
-    return tuple(pairs)
+    return tuple(
+        hypothesis(world, a, b, 0.95, rng) if b in LOST else hypothesis(world, a, b, 0.8)
+        for a, b in combinations(range(24), 2)
+        if b in LOST or (a < ROOMS[0]) == (b < ROOMS[0])
+    )
 
 
-@pytest.mark.parametrize(("matches", "groups"), [(39, [12, 10]), (40, [12, 10, 2])])
-def test_lost_cameras_join_no_rooms_but_may_have_one_of_their_own(matches, groups):
-    """Theirs rests on as many matches as the others; without the rule there is one group of 24."""
-    pairs = rooms(matches_of_lost=matches)
-    lost = find_lost_cameras(24, pairs, CONFIG)
-    assert np.flatnonzero(lost).tolist() == list(LOST)
-    assert [len(group) for group in camera_groups(rig().cameras, pairs, CONFIG)] == groups
-
-
-def test_the_order_of_the_views_of_a_pair_does_not_matter():
-    pairs = rooms(matches_of_lost=40)
+def test_cameras_that_contradict_all_others_join_no_rooms():
+    """Without the rule there is one group of 24. The order of the views of a pair is any."""
     turned = tuple(
         replace(
             pair,
@@ -63,29 +47,26 @@ def test_the_order_of_the_views_of_a_pair_does_not_matter():
             rotation=pair.rotation.T,
             translation=-pair.rotation.T @ pair.translation,
         )
-        for pair in pairs
+        for pair in rooms()
     )
-    found = [find_lost_cameras(24, each, CONFIG) for each in (pairs, turned)]
-    np.testing.assert_array_equal(*found)
+    for pairs in (rooms(), turned):
+        groups = camera_groups(rig().cameras, pairs, CONFIG)
+        assert [len(group) for group in groups] == list(ROOMS)
 
 
-@pytest.mark.parametrize(("wrong", "lost"), [(0.2, False), (0.8, True)])
-def test_a_camera_is_lost_of_whose_triangles_less_than_half_of_the_usual_share_closes(wrong, lost):
-    """Of one camera this share of the pairs is wrong: 0.6 and 0.03 of its loops close."""
+@pytest.mark.parametrize(("wrong", "left"), [(0.2, 24), (1.0, 23)])
+def test_a_camera_is_left_out_where_none_of_its_pairs_closes_half_of_its_triangles(wrong, left):
+    """Of one camera this share of the pairs is wrong."""
     world, rng = rig(), np.random.default_rng(2)
     pairs = [
         hypothesis(world, a, b, 0.8, rng if b == 23 and a < wrong * 23 else None)
         for a, b in combinations(range(24), 2)
     ]
-    assert find_lost_cameras(24, tuple(pairs), CONFIG).tolist() == [False] * 23 + [lost]
+    (group,) = camera_groups(rig().cameras, tuple(pairs), CONFIG)
+    assert len(group) == left
 
 
-def test_where_no_triangle_closes_or_there_is_none_nobody_is_lost():
-    """The median share is 0 then."""
-    world, rng = rig(), np.random.default_rng(3)
-    every = list(combinations(range(24), 2))
-    nonsense = tuple(hypothesis(world, a, b, 0.8, rng) for a, b in every)
-    assert not find_lost_cameras(24, nonsense, CONFIG).any()
-    chain = tuple(hypothesis(world, a, a + 1, 0.8) for a in range(23))
-    assert not find_lost_cameras(24, chain, CONFIG).any()
-    assert not find_lost_cameras(24, (), CONFIG).any()
+def test_pairs_without_triangles_join():
+    chain = tuple(hypothesis(rig(), a, a + 1, 0.8) for a in range(23))
+    (group,) = camera_groups(rig().cameras, chain, CONFIG)
+    assert len(group) == 24
