@@ -24,7 +24,7 @@ from mocap_calib.results import (
     PairwiseCalibration,
 )
 from mocap_calib.rig.averaging import WEIGHT_AT_SCALE, best_scores
-from mocap_calib.rig.loops import alternative_taken
+from mocap_calib.rig.view_graph import alternative_taken
 from mocap_calib.types import ARBITRARY, EstimatedCamera, Floats
 from mocap_calib.verdict.checks import residuals_of
 from mocap_calib.verdict.evaluation import median_and_max

@@ -13,7 +13,7 @@ from mocap_calib.geometry.lens import points_in_cameras, project_views
 from mocap_calib.geometry.rotation import angle_between, with_size_of
 from mocap_calib.results import Adjusted, LiftedPoses, Matches
 from mocap_calib.rig.associate import associate, have_same_groups
-from mocap_calib.rig.factorization import factorise, label_single_subject
+from mocap_calib.rig.averaging import factorise, label_single_subject
 from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames, view_residual
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Progress, Sample, silent

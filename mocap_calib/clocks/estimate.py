@@ -43,7 +43,7 @@ from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.recording.sampling import choose_stretches, take_sample, usual_step
 from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
 from mocap_calib.results import CalibrationResult, Clocks, GroupResult, LiftedPoses
-from mocap_calib.rig.large_rigs import calibrate_view_graph
+from mocap_calib.rig.view_graph import calibrate_view_graph
 from mocap_calib.training import on_device
 from mocap_calib.types import (
     CameraClock,

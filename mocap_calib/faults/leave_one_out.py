@@ -21,7 +21,6 @@ from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, Matches, RigCovariance
 from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import average, camera_groups
-from mocap_calib.rig.large_rigs import takes_all_pairs
 from mocap_calib.rig.observed import (
     Observed,
     PlacedCameras,
@@ -35,6 +34,7 @@ from mocap_calib.rig.tracks import (
     view_noise,
 )
 from mocap_calib.rig.triangulate import triangulate_rays
+from mocap_calib.rig.view_graph import takes_all_pairs
 from mocap_calib.types import POSE, Bools, CameraRig, Floats, Ints, Sample, silent
 
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")

@@ -10,7 +10,7 @@ from mocap_calib.adjust.refine import measure_fit
 from mocap_calib.config import Config
 from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.rig.factorization import factorise, label_single_subject
+from mocap_calib.rig.averaging import factorise, label_single_subject
 from mocap_calib.types import Camera, CameraRig, Recording, Sample
 
 REVERSE = np.diag([1.0, 1.0, -1.0])

@@ -22,7 +22,7 @@ from mocap_calib.pairs.solve import calibrate_pairs
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.rig.averaging import average, camera_groups, pairs_among, usable_cameras
-from mocap_calib.rig.loops import alternative_taken, select_hypotheses
+from mocap_calib.rig.view_graph import alternative_taken, select_hypotheses
 from mocap_calib.types import Camera, CameraRig, Keypoints2D, silent
 
 CONFIG = AveragingConfig()

@@ -25,7 +25,7 @@ def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.pairs_json import pairs_from_json
     from mocap_calib.rig.averaging import average, pairs_among, usable_cameras
-    from mocap_calib.rig.loops import select_hypotheses
+    from mocap_calib.rig.view_graph import select_hypotheses
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.describe import describe_unused_cameras
     from mocap_calib_cli.progress import Reporter

@@ -27,7 +27,7 @@ def command(shared: options.SharedOptions, output: str) -> None:
     from mocap_calib.lift.lifter import load_model
     from mocap_calib.pairs.solve import in_recording
     from mocap_calib.paper import choose_pair_solver
-    from mocap_calib.rig.large_rigs import calibrate_view_graph
+    from mocap_calib.rig.view_graph import calibrate_view_graph
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 

@@ -10,14 +10,14 @@ from mocap_calib.config import Config, ViewGraphConfig
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.results import LiftedPoses, PairwiseCalibration
 from mocap_calib.rig.averaging import average
-from mocap_calib.rig.large_rigs import (
+from mocap_calib.rig.view_graph import (
     calibrate_view_graph,
     first_pairs,
     measure_covisibility,
     pairs_to_grow,
+    select_hypotheses,
     takes_all_pairs,
 )
-from mocap_calib.rig.loops import select_hypotheses
 from mocap_calib.types import silent
 
 CONFIG = ViewGraphConfig()
