@@ -64,7 +64,7 @@ web:
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@$(BIN)/python .ci/check_torch.py
 	$(INSTALL) -e .
-	@$(BIN)/python -c "from mocap_calib.kernels.loading import compile_ahead; compile_ahead()"
+	@$(BIN)/python -c "from mocap_calib.kernels.jit import compile_ahead; compile_ahead()"
 	@touch $@
 
 .venv/tested: .venv/installed

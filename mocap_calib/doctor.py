@@ -25,7 +25,7 @@ from mocap_calib.compute import BLAS_THREADS, identify_program
 from mocap_calib.compute.parallel import thread_count
 from mocap_calib.config import Config
 from mocap_calib.errors import MocapCalibError
-from mocap_calib.kernels.loading import compile_ahead
+from mocap_calib.kernels.jit import compile_ahead
 from mocap_calib.lift.lifter import digest, load_lifter
 from mocap_calib.methods import from_keypoints
 from mocap_calib.pipeline import calibrate

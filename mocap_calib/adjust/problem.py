@@ -10,7 +10,7 @@ from mocap_calib.adjust.solve import Parameters, minimise
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.intersection import order_by_views
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches
 from mocap_calib.rig.tracks import (

@@ -24,7 +24,7 @@ from mocap_calib.adjust.camera_fit import (
 )
 from mocap_calib.config import LEAST_FORWARD, CameraFitConfig, Config, MovedConfig, ResectionConfig
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 from mocap_calib.kernels.resection import compare
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.observed import PlacedCameras, choose_frames, place_bodies

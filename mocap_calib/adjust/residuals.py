@@ -8,7 +8,6 @@ Residuals against rays are taken in the plane that touches the unit sphere at th
 first order in pixels: any lens will do, without its derivatives.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
@@ -17,11 +16,11 @@ import numpy as np
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.lens import image_slopes
 from mocap_calib.kernels import settling as kernels
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import Camera, Floats, Ints
 
 _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
-_LENS_ROW = 14  # numbers of a lens, as kernels take it
+_NO_LENS = np.empty((0, 14))  # of a camera whose rays are known
 
 # Cosine between ray and point that stands for all points behind the camera: such a point fits
 # nothing, and moves nothing.
@@ -128,10 +127,8 @@ class RayResiduals:
         self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
     ) -> Linearised:
         """Return the residuals about a state, r = M x / (u'x) of a ray u and its metric M."""
-        given = state.translation[:, :, None], self.rays, self.metric, self.weight
-        return _linearise(
-            kernels.settle_rays, given, block, state, loss_scale=loss_scale, steps=steps
-        )
+        given = state.translation[:, :, None], _NO_LENS, self.rays, self.metric, self.weight
+        return _linearise(given, block, state, loss_scale=loss_scale, steps=steps)
 
 
 @dataclass(frozen=True)
@@ -161,10 +158,9 @@ class PixelResiduals:
     ) -> Linearised:
         """Return the residuals about a state."""
         origin = state.translation[:, :, None]
-        given = origin, self._lens_rows(state), self.pixels, self.weight
-        return _linearise(
-            kernels.settle_pixels, given, block, state, loss_scale=loss_scale, steps=steps
-        )
+        no_metric = np.empty((len(self.pixels), 2, 3, 0))
+        given = origin, self._lens_rows(state), self.pixels, no_metric, self.weight
+        return _linearise(given, block, state, loss_scale=loss_scale, steps=steps)
 
     def _lens_rows(self, state: State) -> Floats:
         """Return the lenses `[view, 14]` with the intrinsics of a state.
@@ -172,14 +168,8 @@ class PixelResiduals:
         Kind (1 Brown and Conrady's, 2 fisheye), a pixel, focal lengths and principal point, all in
         standard deviations, and coefficients.
         """
-        rows = np.zeros((len(self.cameras), _LENS_ROW))
-        changed = changed_cameras(self.cameras, state.intrinsics)
-        for row, camera, sigma in zip(rows, changed, self.sigma, strict=True):
-            coefficients = camera.distortion[: 4 if camera.fisheye else 8]
-            row[:2] = 2 if camera.fisheye else 1, 1 / sigma
-            row[2:4] = camera.matrix[[0, 1], [0, 1]] / sigma
-            row[4:6] = camera.matrix[:2, 2] / sigma
-            row[6 : 6 + len(coefficients)] = coefficients
+        rows = lens.rows(changed_cameras(self.cameras, state.intrinsics))
+        rows[:, 1:6] /= self.sigma[:, None]
         return rows
 
 
@@ -225,7 +215,6 @@ def _part_of(block: slice, state: State, seen: Residuals) -> Part:
 
 
 def _linearise(
-    kernel: Callable[..., float],
     given: tuple[Floats, ...],
     block: slice,
     state: State,
@@ -233,7 +222,7 @@ def _linearise(
     loss_scale: float,
     steps: int,
 ) -> Linearised:
-    """Return what a kernel makes of a block of points; given: what was seen, as it takes it."""
+    """Return what the kernel makes of a block of points; given: what was seen, as it takes it."""
     points = state.points[:, block].copy(order="C")
     (views, intrinsics), count = state.intrinsics.shape, points.shape[1]
     in_camera, residual = np.empty((views, 3, count)), np.empty((views, 2, count))
@@ -241,8 +230,9 @@ def _linearise(
     by_intrinsics = np.empty((views, 2, intrinsics, count))
     options = np.array([loss_scale**2, _BEHIND, _POINT_GAIN])
     given = (*contiguous(state.rotation, *given), options)
-    cost = kernel(block.start, *given, steps, points, in_camera, by_point, by_intrinsics, residual)
-    return Linearised(points, in_camera, by_point, by_intrinsics, residual, cost)
+    found = points, in_camera, by_point, by_intrinsics, residual
+    cost = kernels.optimise_points(block.start, *given, steps, *found)
+    return Linearised(*found, cost)
 
 
 def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:
@@ -311,10 +301,8 @@ class TimedRayResiduals:
         motion, offset = self.motion.select(block), state.intrinsics[:, 0]
         shift = np.matmul(state.rotation, motion.displacement(offset))
         origin = state.translation[:, :, None] + shift
-        given = origin, self.rays.rays, self.rays.metric, self.weight
-        found = _linearise(
-            kernels.settle_rays, given, block, state, loss_scale=loss_scale, steps=steps
-        )
+        given = origin, _NO_LENS, self.rays.rays, self.rays.metric, self.weight
+        found = _linearise(given, block, state, loss_scale=loss_scale, steps=steps)
         velocity = np.matmul(state.rotation, motion.velocity_after(offset))
         by_offset = np.einsum("vkin,vin->vkn", found.by_point, velocity)[:, :, None]
         return replace(found, by_intrinsics=np.ascontiguousarray(by_offset))

@@ -15,7 +15,7 @@ from mocap_calib.adjust.residuals import Linearised, Part, Residuals, State, par
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels import schur as kernels
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import POSE, Floats, Ints
 
 # Levenberg and Marquardt's damping; more of it after a step that raised the cost, less after others

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mocap_calib.config import CLOCK_RATES, PairwiseConfig
 from mocap_calib.geometry.rotation import nearest_rotation, skew
 from mocap_calib.kernels import clocks as kernels
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 from mocap_calib.pairs.search import well_separated
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import LiftedPoses, Matches

@@ -17,7 +17,7 @@ import numpy as np
 from mocap_calib.clocks.compare import LEAST_FRAMES, Pair, Singles
 from mocap_calib.config import CLOCK_RATES, DECISIVE_NATS, UncertaintyConfig
 from mocap_calib.kernels import clocks as kernels
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import Bools, CameraClock, ClockKind, Floats, Ints
 
 _LEAST_BLOCK = 5  # frames

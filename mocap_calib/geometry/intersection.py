@@ -30,7 +30,7 @@ from mocap_calib.config import (
 from mocap_calib.geometry.graphs import fiedler_vector
 from mocap_calib.kernels import rays as kernels
 from mocap_calib.kernels.intersection import intersect_rays
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import Bools, CameraRig, Floats, Ints
 
 

@@ -22,7 +22,7 @@ from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.kernels import lens as kernels
 from mocap_calib.kernels import rays as ray_kernels
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Reals, as_array
 
 # Of one call, or of one view where it has more: each call waits for Python's lock.

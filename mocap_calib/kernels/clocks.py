@@ -20,7 +20,8 @@ def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
     """
     frames, offsets = table.shape
     origin = np.empty((frames, offsets), dtype=np.int32)
-    total, before = table[0].copy(), np.empty(offsets)
+    total, before = np.empty(offsets), np.empty(offsets)
+    total[:] = table[0]
     for frame in range(1, frames):
         before[:] = total
         for k in range(offsets):
@@ -33,7 +34,10 @@ def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
                     best, value = source, reached
             origin[frame, k] = best
             total[k] = value + table[frame, k]
-    path[-1] = np.argmax(total)
+    best = 0
+    for k in range(1, offsets):
+        best = k if total[k] > total[best] else best
+    path[-1] = best
     for frame in range(frames - 1, 0, -1):
         path[frame - 1] = origin[frame, path[frame]]
 

@@ -11,16 +11,21 @@ results do not depend on the machine.
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Result = TypeVar("Result")
 
 SHARED = ("algebra", "jit", "lens")  # files of functions that kernels of other files call
-_compile: Any = partial(numba.njit, nogil=True, error_model="numpy")
+# no wrapper for callers in C, of which there are none: it takes time to compile
+_compile: Any = partial(numba.njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 
 
 def drop_stale_code(folder: Path) -> None:
@@ -53,5 +58,18 @@ def kernel(*types: str) -> Callable[[Callable[..., Result]], Callable[..., Resul
 
 
 def inlined(function: Function) -> Function:
-    """Compile a function with each kernel that calls it."""
-    return cast(Function, _compile()(function))
+    """Let kernels call a function, which stays one of Python beside."""
+    return cast(Function, register_jitable(no_cfunc_wrapper=True)(function))
+
+
+def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Return arrays in C order that can be written; those that are so already as they are."""
+    return tuple(np.require(array, requirements=("C", "W")) for array in arrays)
+
+
+def compile_ahead() -> list[str]:
+    """Compile all kernels, so that no run waits for them, and return their modules."""
+    names = sorted(file.stem for file in Path(__file__).parent.glob("[!_]*.py"))
+    for name in names:
+        import_module(f"{__package__}.{name}")
+    return names

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from mocap_calib.kernels.algebra import cross
 from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
@@ -27,7 +28,10 @@ def _across(direction: Floats) -> Floats:
 @inlined
 def _norm(vector: Floats) -> float:
     """Return the length of a vector `[K]`."""
-    return math.sqrt((vector * vector).sum())
+    square = 0.0
+    for k in range(len(vector)):
+        square += vector[k] * vector[k]
+    return math.sqrt(square)
 
 
 @inlined
@@ -144,36 +148,44 @@ def _as_system(products: Floats) -> Floats:
 
 
 @inlined
-def _turn(vector: Floats, rotation: Floats) -> Floats:
-    """Return a rotation `[3, 3]` turned by a rotation vector `[3]` from the left (Rodrigues)."""
+def _turn(vector: Floats, rotation: Floats) -> None:
+    """Turn a rotation `[3, 3]` by a rotation vector `[3]` backwards, from the left (Rodrigues)."""
     angle = _norm(vector)
-    first, second = 1.0, 0.5
+    first, second = -1.0, 0.5
     if angle > 0:
-        first = math.sin(angle) / angle
+        first = -math.sin(angle) / angle
         second = 0.5 * (math.sin(0.5 * angle) / (0.5 * angle)) ** 2
-    turned = np.empty((3, 3))
     for k in range(3):
         x, y, z = rotation[0, k], rotation[1, k], rotation[2, k]
         along = vector[0] * x + vector[1] * y + vector[2] * z
-        turned[0, k] = x + first * (vector[1] * z - vector[2] * y)
-        turned[1, k] = y + first * (vector[2] * x - vector[0] * z)
-        turned[2, k] = z + first * (vector[0] * y - vector[1] * x)
-        for i in range(3):  # v x (v x c) = v (v . c) - c |v|^2
-            turned[i, k] += second * (vector[i] * along - rotation[i, k] * angle**2)
-    return turned
+        by_x, by_y, by_z = cross(vector[0], vector[1], vector[2], x, y, z)
+        # v x (v x c) = v (v . c) - c |v|^2
+        rotation[0, k] += first * by_x + second * (vector[0] * along - x * angle**2)
+        rotation[1, k] += first * by_y + second * (vector[1] * along - y * angle**2)
+        rotation[2, k] += first * by_z + second * (vector[2] * along - z * angle**2)
 
 
 @inlined
-def _add_bodies(cross: Floats, inertia: float, rotation: Floats, system: Floats) -> None:
-    """Add the slopes in a turn of inertia - tr(R cross), half the distance of matched bodies.
+def _shift(vector: Floats, direction: Floats) -> None:
+    """Subtract a vector `[3]` from a unit vector, which is of length 1 again."""
+    for k in range(3):
+        direction[k] -= vector[k]
+    length = _norm(direction)
+    for k in range(3):
+        direction[k] /= length
 
-    cross: `[3, 3]` and inertia: weighted sums over matches. The Hessian is bounded by the inertia.
+
+@inlined
+def _add_bodies(overlap: Floats, inertia: float, rotation: Floats, system: Floats) -> None:
+    """Add the slopes in a turn of inertia - tr(R overlap), half the distance of matched bodies.
+
+    overlap: `[3, 3]` and inertia: weighted sums over matches. The inertia bounds the Hessian.
     """
-    turned = (np.expand_dims(rotation, 2) * cross).sum(1)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         system[i, i] += inertia
-        system[i, 6] += turned[k, j] - turned[j, k]
+        for n in range(3):
+            system[i, 6] += rotation[k, n] * overlap[n, j] - rotation[j, n] * overlap[n, k]
 
 
 @kernel("f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[::1], f8[::1]")
@@ -181,23 +193,24 @@ def refine(
     rotations: Floats,
     directions: Floats,
     rays: Floats,
-    cross: Floats,
+    overlap: Floats,
     inertia: Floats,
     widths: Floats,
 ) -> None:
     """Refine rotations `[M, 3, 3]` and unit directions `[M, 3]` by Gauss-Newton steps.
 
-    rays: `[M, block, 8, LANES]` as of `MatchedRays.in_blocks`; cross: `[M, 3, 3]` and inertia:
+    rays: `[M, block, 8, LANES]` as of `MatchedRays.in_blocks`; overlap: `[M, 3, 3]` and inertia:
     `[M]` of `_add_bodies`; widths: `[step]` of the loss in body sizes.
     """
     for m in range(len(rotations)):
         for width in widths:
             system = _sum_over_rays(rays[m], rotations[m], directions[m], width)
-            _add_bodies(cross[m], inertia[m], rotations[m], system)
-            damping = 1e-12 + 1e-6 * np.trace(system[:, :6])
+            _add_bodies(overlap[m], inertia[m], rotations[m], system)
+            damping = 1e-12
+            for k in range(6):
+                damping += 1e-6 * system[k, k]
             for k in range(6):
                 system[k, k] += damping
-            delta = -_solve(system)
-            rotations[m] = _turn(delta[:3], rotations[m])
-            directions[m] += delta[3:]
-            directions[m] /= _norm(directions[m])
+            delta = _solve(system)
+            _turn(delta[:3], rotations[m])
+            _shift(delta[3:], directions[m])

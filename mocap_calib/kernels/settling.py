@@ -31,14 +31,14 @@ _Seen = tuple[float, float, bool, float, float, float, float, float, float]
 
 @inlined
 def _residual(
-    lens: Floats | None, saw: Floats, v: int, least: float, x: float, y: float, z: float
+    lens: Floats, saw: Floats, v: int, least: float, x: float, y: float, z: float
 ) -> _Seen:
     """Return the residual of a point in a camera's frame, and its slopes by the point.
 
     Between the two: whether the point is in front of the camera.
     """
     nearest = least * max(abs(x), abs(y), abs(z))
-    if lens is None:  # one branch is left out where it is compiled
+    if len(lens) == 0:
         ray_x, ray_y, ray_z = saw[v, 0, 0], saw[v, 0, 1], saw[v, 0, 2]
         a, b, c = saw[v, 1, 0], saw[v, 1, 1], saw[v, 1, 2]
         d, e, f = saw[v, 2, 0], saw[v, 2, 1], saw[v, 2, 2]
@@ -167,9 +167,9 @@ def _settle(given: Any, steps: int, points: Floats) -> None:
 
 
 @inlined
-def _set_own(lens: Floats | None, v: int, x: float, y: float, root: float, own: Floats) -> None:
+def _set_own(lens: Floats, v: int, x: float, y: float, root: float, own: Floats) -> None:
     """Set the weighed slopes `[2, intrinsic]` by log focal length and k1, where they may change."""
-    if lens is not None:
+    if len(lens) > 0:
         there_x, there_y, _, _, _, by_k1 = distort(lens[v], x, y)
         per_x, per_y = lens[v, 2], lens[v, 3]
         for i in range(own.shape[1]):
@@ -209,13 +209,14 @@ def _weigh(given: Any, points: Floats, into: Any) -> float:
 
 
 @kernel(
-    "i8, f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,::1], f8[::1], i8, "
-    "f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1]"
+    "i8, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,::1], f8[::1], "
+    "i8, f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1]"
 )
-def settle_rays(
+def optimise_points(
     first: int,
     rotation: Floats,
     origin: Floats,
+    lens: Floats,
     seen: Floats,
     metric: Floats,
     weight: Floats,
@@ -229,43 +230,15 @@ def settle_rays(
 ) -> float:
     """Move points `[3, n]` of a block to where they cost least; return their cost there.
 
-    Also set what `settling.Weighed` has of them: in_camera `[view, 3, n]`, slope `[view, 2, 3, n]`,
-    own `[view, 2, intrinsic, n]` by the intrinsics, and residual `[view, 2, n]`.
+    Also set what `residuals.Linearised` has of them: in_camera `[view, 3, n]`, slope
+    `[view, 2, 3, n]`, own `[view, 2, intrinsic, n]` by the intrinsics, and residual `[view, 2, n]`.
 
     origin: that of the world in each camera's frame when it saw a point, `[view, 3, n]`, or
-    `[view, 3, 1]`. seen: `[view, 3, N]` rays with their metric `[view, 2, 3, N]`. options: the
-    square of the loss scale, the least depth of a point as a share of its size, and the gain that
-    ends it. steps: of a point, at most.
+    `[view, 3, 1]`. seen: `[view, 3, N]` rays with their metric `[view, 2, 3, N]`, where there is no
+    lens; else `[view, 2, N]` pixels of lenses `[view, lens row]`, as of
+    `PixelResiduals._lens_rows`, and no metric. options: the square of the loss scale, the least
+    depth of a point as a share of its size, and the gain that ends it. steps: of a point, at most.
     """
-    given = (first, rotation, origin, None, seen, metric, weight, options)
-    _settle(given, steps, points)
-    return _weigh(given, points, (in_camera, slope, own, residual))
-
-
-@kernel(
-    "i8, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], i8, f8[:,::1], "
-    "f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1]"
-)
-def settle_pixels(
-    first: int,
-    rotation: Floats,
-    origin: Floats,
-    lens: Floats,
-    seen: Floats,
-    weight: Floats,
-    options: Floats,
-    steps: int,
-    points: Floats,
-    in_camera: Floats,
-    slope: Floats,
-    own: Floats,
-    residual: Floats,
-) -> float:
-    """Do what `settle_rays` does, of pixels `[view, 2, N]`.
-
-    lens: `[view, lens row]` as of `PixelObservations.lens_rows`.
-    """
-    none = np.empty((len(seen), 2, 3, 0))
-    given = (first, rotation, origin, lens, seen, none, weight, options)
+    given = (first, rotation, origin, lens, seen, metric, weight, options)
     _settle(given, steps, points)
     return _weigh(given, points, (in_camera, slope, own, residual))

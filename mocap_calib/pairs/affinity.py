@@ -15,7 +15,7 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
 from mocap_calib.kernels.affinity import fit_hypotheses
 from mocap_calib.kernels.all_views import fit_all_views
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mocap_calib.kernels import jit
-from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.jit import contiguous
 
 KERNEL = """
 from mocap_calib.kernels.jit import inlined, kernel
