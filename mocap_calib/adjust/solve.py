@@ -174,14 +174,18 @@ def normal_equations(rotation: Floats, linear: Linearised) -> NormalEquations:
 
     What is known of the intrinsics beforehand is not in them (`Parameters.prior`).
     """
-    (views, _, count), unknowns = linear.in_camera.shape, POSE + linear.by_intrinsics.shape[2]
-    camera = np.empty((views, unknowns, 2, count))
-    point, point_gradient = np.empty((3, 3, count)), np.empty((3, count))
-    mixed = np.empty((views, unknowns, 3, count))
-    given = contiguous(rotation, *_jacobians(linear), point, point_gradient, mixed, camera)
-    kernels.normal_equations(*given)
-    blocks, gradient = _own_blocks(camera, linear.residual)
-    return NormalEquations(blocks, gradient, point, point_gradient, mixed)
+    slope, residual = linear.by_point, linear.residual
+    turning = np.cross(linear.in_camera[:, None], slope, axis=2)  # a turn w moves x by w x x
+    camera = np.concatenate([turning, slope, linear.by_intrinsics], axis=2)
+    point = np.einsum("vkin,vij->vkjn", slope, rotation)
+    blocks, gradient = _own_blocks(np.ascontiguousarray(camera.swapaxes(1, 2)), residual)
+    return NormalEquations(
+        camera=blocks,
+        camera_gradient=gradient,
+        point=np.einsum("vkin,vkjn->ijn", point, point),
+        point_gradient=np.einsum("vkin,vkn->in", point, residual),
+        mixed=np.einsum("vkin,vkjn->vijn", camera, point),
+    )
 
 
 def eliminate_points(equations: NormalEquations) -> tuple[Floats, Floats, Floats]:
@@ -190,18 +194,15 @@ def eliminate_points(equations: NormalEquations) -> tuple[Floats, Floats, Floats
     S = U - W V^-1 W' is the Schur complement of V, `[C view, C view]`; g = a - W V^-1 b.
     """
     mixed = equations.mixed.reshape(-1, *equations.point_gradient.shape)
-    root, product = np.empty_like(equations.point), np.empty_like(mixed)
-    kernels.rooted(equations.point, mixed, root, product)
+    largest = np.einsum("iin->in", equations.point).max(0)
+    ridge = np.where(largest > 0, 1e-12 * largest, 1.0)[:, None, None] * np.eye(3)
+    root = np.linalg.inv(np.linalg.cholesky(equations.point.T + ridge)).T  # Q of V^-1 = QQ'
+    product = np.einsum("cin,ijn->cjn", mixed, root)
     side = np.einsum("jkn,jn->kn", root, equations.point_gradient)
     return (
         np.einsum("ikn,jkn->ijn", root, root),
         *_schur_complement(equations.camera, equations.camera_gradient, product, side),
     )
-
-
-def _jacobians(linear: Linearised) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return what kernels make equations of."""
-    return linear.in_camera, linear.by_point, linear.by_intrinsics, linear.residual
 
 
 def _schur_complement(
@@ -267,8 +268,8 @@ def _reduce_part(part: Part, loss_scale: float) -> tuple[Linearised, Floats, Flo
     (views, _, count), unknowns = linear.in_camera.shape, POSE + linear.by_intrinsics.shape[2]
     camera, side = np.empty((views, unknowns, 2, count)), np.empty((3, count))
     product = np.empty((views * unknowns, 3, count))
-    given = contiguous(part.state.rotation, *_jacobians(linear), camera, product, side)
-    kernels.reduced(*given)
+    given = linear.in_camera, linear.by_point, linear.by_intrinsics, linear.residual
+    kernels.reduced(*contiguous(part.state.rotation, *given, camera, product, side))
     blocks, gradient = _own_blocks(camera, linear.residual)
     system = _schur_complement(blocks, gradient, product, side)
     return linear, *system, np.einsum("vii->vi", blocks).ravel()

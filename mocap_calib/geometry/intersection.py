@@ -28,8 +28,7 @@ from mocap_calib.config import (
     SMALL_RIG,
 )
 from mocap_calib.geometry.graphs import fiedler_vector
-from mocap_calib.kernels import rays as kernels
-from mocap_calib.kernels.intersection import intersect_rays
+from mocap_calib.kernels import intersection as kernels
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import Bools, CameraRig, Floats, Ints
 
@@ -43,7 +42,7 @@ def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
     middle = rig.centres.mean(0)
     points = np.empty(world.shape[1:])
     first, others = _candidate_pairs(len(rig))
-    intersect_rays(
+    kernels.intersect_rays(
         *contiguous(rig.centres - middle, world, precision),
         np.array(first + others, dtype=np.int64).reshape(-1, 2),
         len(first),
@@ -75,6 +74,7 @@ def _candidate_pairs(views: int) -> tuple[list[tuple[int, int]], list[tuple[int,
 # Where a point follows one ray almost wholly, what is left of that ray's error tells nothing
 # certain of the error: this share of its variance at least is taken to be left.
 _LEAST_SHARE = 0.05
+_RIDGE = 1e-10  # of the diagonal of matrices of trace 1
 # the median angle of a view that does not see the point, which then takes up nothing of its error:
 # of two degrees of freedom, by the formula of `median_angles`
 _UNTOUCHED = (2 * (1 - 1 / 9) ** 3) ** 0.5
@@ -93,10 +93,24 @@ def point_covariance(
     With the robust weights w and N = sum w J'J they are N^-1 (sum w^2 s^2 J'J) N^-1: N^-1 itself
     where the weights are the inverse variances. Huge where the rays used are all in one line.
     """
-    found = np.empty((6, points.shape[1]))
-    given = contiguous(rig.centres, points, world, precision, variance)
-    kernels.covariances(*given, INTERSECT_LOSS_SCALE, found)
-    return found
+    offset = points - rig.centres[:, :, None]
+    square = np.maximum((offset**2).sum(1), 1e-300)
+    unit = offset / np.sqrt(square)[:, None]
+    along = np.einsum("vin,vin->vn", unit, world)
+    error = np.maximum(1 - along**2, 0.0) * precision
+    weight = precision / (1 + error / INTERSECT_LOSS_SCALE**2) ** 2
+    known = _sum_across(weight / square, unit)
+    spread = _sum_across(weight**2 * variance[:, None] / square, unit)
+    size = np.trace(known, axis1=1, axis2=2)[:, None, None]
+    scaled = known / np.where(size > 0, size, 1.0) + _RIDGE * np.eye(3)
+    inverse = np.linalg.inv(scaled) / np.where(size > 0, size, 1.0)
+    return (inverse @ spread @ inverse)[:, *np.triu_indices(3)].T
+
+
+def _sum_across(share: Floats, unit: Floats) -> Floats:
+    """Return sums of shares `[view, N]` of I - u u' of unit vectors `[view, 3, N]`, `[N, 3, 3]`."""
+    along = np.einsum("vin,vjn->nij", share[:, None] * unit, unit)
+    return share.sum(0)[:, None, None] * np.eye(3) - along
 
 
 def median_angles(rig: CameraRig, points: Floats, weight: Floats) -> Floats:

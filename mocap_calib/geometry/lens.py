@@ -4,9 +4,9 @@ Pixels have their centres at integers. Rays are unit vectors in the camera's axe
 z forward. By component, where nothing else is said: `[2, N]` pixels, `[3, N]` points and rays. NaN
 stays NaN.
 
-Lenses are OpenCV's. They are compiled, because whole recordings go through: ten times faster than
-cv2, and without its failures (its fixed-point iteration diverges at strong lenses; its fisheye
-inverse returns tan(theta), which breaks near 90 degrees).
+Lenses are OpenCV's. Their inverses are compiled, because whole recordings go through: ten times
+faster than cv2, and without its failures (its fixed-point iteration diverges at strong lenses; its
+fisheye inverse returns tan(theta), which breaks near 90 degrees).
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,6 @@ from scipy.linalg import rq
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.kernels import lens as kernels
-from mocap_calib.kernels import rays as ray_kernels
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Reals, as_array
 
@@ -54,9 +53,16 @@ def rows(cameras: Sequence[Camera]) -> Floats:
 
 def project(camera: Camera, points: Floats) -> Floats:
     """Return the pixels `[2, N]` of points `[3, N]` in the camera's axes; NaN behind the camera."""
-    pixels = np.empty((2, points.shape[1]))
-    kernels.project(rows((camera,))[0], *contiguous(points), pixels)
-    return pixels
+    row = rows((camera,))[0]
+    depth = np.where(points[2] > 1e-9, points[2], np.nan)
+    x, y, *_ = _distort(row, points[:2] / depth)
+    return np.stack([row[2] * x + row[4], row[3] * y + row[5]])
+
+
+def _distort(row: Floats, image: Floats) -> tuple[Floats, ...]:
+    """Return what `kernels.lens.distort` does, of points `[2, N]` of the plane z = 1."""
+    with np.errstate(all="ignore"):  # points far outside the image
+        return kernels.distort(row, image[0], image[1])
 
 
 def unproject(camera: Camera, pixels: Floats) -> Floats:
@@ -123,9 +129,14 @@ def _flat(array: Floats) -> Floats:
 
 def image_slopes(camera: Camera, image: Floats) -> Slopes:
     """Return the derivatives of the pixels of points `[2, N]` of the plane z = 1."""
-    found = np.empty((4, 2, image.shape[1]))
-    kernels.set_slopes(rows((camera,))[0], *contiguous(image), found)
-    return Slopes(image=found[:2].swapaxes(0, 1), log_focal=found[2], k1=found[3])
+    row = rows((camera,))[0]
+    focal = row[2:4, None]
+    x, y, xx, xy, yy, by_k1 = _distort(row, image)
+    return Slopes(
+        image=focal[:, None] * np.array([[xx, xy], [xy, yy]]),
+        log_focal=focal * np.stack([x, y]),
+        k1=focal * image * by_k1,
+    )
 
 
 def change_intrinsics(camera: Camera, *, log_focal: float, k1: float) -> Camera:
@@ -197,18 +208,19 @@ def agreeing_views(
     missing. weight: `[view, N]`, 0 = not seen. limits: `[view, count]` angles in radians, of points
     that so many views see. least_angle: in radians.
     """
-    agree = np.empty(weight.shape, dtype=bool)
-    tangents = np.tan(np.minimum(limits, np.pi / 2))
-    given = contiguous(rig.centres, points, world, weight, tangents)
-    ray_kernels.agreeing_views(*given, np.cos(least_angle / 2), agree)
-    return agree
+    seen = weight > 0
+    limit = np.take_along_axis(limits, np.broadcast_to(seen.sum(0), seen.shape), axis=1)
+    angle, along = _angles(points - rig.centres[:, :, None], world)
+    agree = seen & (along > 0) & (angle < limit)
+    mean = np.einsum("vin,vn->in", world, agree.astype(np.float64))
+    mean /= np.maximum(np.linalg.norm(mean, axis=0), 1e-12)
+    cosine = np.where(agree, np.einsum("vin,in->vn", world, mean), 1.0).min(0)
+    return agree & (agree.sum(0) >= 2) & (cosine < np.cos(least_angle / 2))
 
 
 def rays_in_world(rig: CameraRig, rays: Floats) -> Floats:
     """Return rays `[view, 3, N]` of the cameras' frames in world coordinates, zero = missing."""
-    world = np.empty(rays.shape)
-    ray_kernels.rays_in_world(*contiguous(rig.rotation, rays), world)
-    return world
+    return np.nan_to_num(np.matmul(np.swapaxes(rig.rotation, 1, 2), rays))
 
 
 def ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bools]:
@@ -217,9 +229,14 @@ def ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bo
     points: `[3, N]`; rays: `[view, 3, N]`. Angles `[view, N]` in radians, pi where something is
     missing; in front `[view, N]`.
     """
-    angle, along = np.empty((2, len(rays), points.shape[1]))
-    ray_kernels.ray_angles(*contiguous(rig.rotation, rig.translation, points, rays), angle, along)
-    return angle, along > 0
+    angle, along = _angles(points_in_cameras(rig, points), rays)
+    return np.where(np.isnan(angle), np.pi, angle), along > 0
+
+
+def _angles(offset: Floats, rays: Floats) -> tuple[Floats, Floats]:
+    """Return angles `[view, N]` between offsets and rays `[view, 3, N]`, and lengths along rays."""
+    along = np.einsum("vin,vin->vn", offset, rays)
+    return np.arctan2(np.linalg.norm(np.cross(offset, rays, axis=1), axis=1), along), along
 
 
 def project_views(rig: CameraRig, points: Floats) -> Floats:
@@ -233,10 +250,11 @@ def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: 
     points: `[3, N]` in world coordinates; pixels: `[view, 2, N]` the detections; used: `[view, N]`.
     NaN where no view is used. A view that has a point behind it adds no distance.
     """
-    error = np.empty(points.shape[1])
-    pose = np.concatenate([rig.rotation, rig.translation[:, :, None]], axis=2)
-    kernels.reprojection_errors(*contiguous(pose, rows(rig.cameras), points, pixels, used), error)
-    return error
+    total = np.zeros(points.shape[1])
+    for own, seen, counted in zip(project_views(rig, points), pixels, used, strict=True):
+        total += np.where(counted, np.nan_to_num(((own - seen) ** 2).sum(0)), 0.0)
+    count = used.sum(0)
+    return np.sqrt(np.where(count > 0, total, np.nan) / np.maximum(count, 1))
 
 
 def decompose_projection(projection: Floats) -> tuple[Floats, Floats, Floats]:

@@ -1,37 +1,75 @@
-"""Points from the rays of many views, robustly.
+"""Points from the rays of many views, robustly, and how near the rays pass.
 
 All steps of a point are done before the next one, on the rays of the views that see it: see
-`geometry.intersection`.
+`geometry.intersection`. Symmetric matrices are their entries xx, xy, xz, yy, yz, zz.
 """
+
+import math
 
 import numpy as np
 
-from mocap_calib.kernels.algebra import RIDGE, add_across
 from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats, Ints
+
+_RIDGE = 1e-10  # added to the diagonal of matrices that are scaled to about 1
+_Entries = tuple[float, float, float, float, float, float]
+
+
+@inlined
+def _add_across(matrix: Floats, share: float, x: float, y: float, z: float) -> None:
+    """Add a share of I - u u' of a unit vector u to a matrix."""
+    matrix[0] += share * (1 - x * x)
+    matrix[1] -= share * x * y
+    matrix[2] -= share * x * z
+    matrix[3] += share * (1 - y * y)
+    matrix[4] -= share * y * z
+    matrix[5] += share * (1 - z * z)
+
+
+@inlined
+def _multiply(matrix: _Entries, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the product of a matrix and a vector."""
+    return (
+        matrix[0] * x + matrix[1] * y + matrix[2] * z,
+        matrix[1] * x + matrix[3] * y + matrix[4] * z,
+        matrix[2] * x + matrix[4] * y + matrix[5] * z,
+    )
+
+
+@inlined
+def _invert(matrix: Floats) -> _Entries:
+    """Return the inverse of a matrix that is not negative, by cofactors; of zero it is zero."""
+    size = matrix[0] + matrix[3] + matrix[5]
+    if size == 0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    xx, yy, zz = matrix[0] / size + _RIDGE, matrix[3] / size + _RIDGE, matrix[5] / size + _RIDGE
+    xy, xz, yz = matrix[1] / size, matrix[2] / size, matrix[4] / size
+    of_xx, of_xy, of_xz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    determinant = xx * of_xx + xy * of_xy + xz * of_xz
+    scale = 1 / (determinant * size) if abs(determinant) > 1e-300 else 0.0
+    of_yy, of_yz, of_zz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    return (
+        of_xx * scale,
+        of_xy * scale,
+        of_xz * scale,
+        of_yy * scale,
+        of_yz * scale,
+        of_zz * scale,
+    )
 
 
 @inlined
 def _solve(matrix: Floats, side: Floats, solution: Floats) -> None:
-    """Solve a symmetric system scaled to about 1 by cofactors; what is open is set to zero."""
-    xy, xz, yz = matrix[1], matrix[2], matrix[4]
-    xx, yy, zz = matrix[0] + RIDGE, matrix[3] + RIDGE, matrix[5] + RIDGE
-    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    determinant = xx * a + xy * b + xz * c
-    if not abs(determinant) > 1e-300:
-        determinant = np.inf
-    x, y, z = side[0], side[1], side[2]
-    solution[0] = (a * x + b * y + c * z) / determinant
-    solution[1] = (b * x + d * y + e * z) / determinant
-    solution[2] = (c * x + e * y + f * z) / determinant
+    """Solve a system; what is open is set to zero."""
+    inverse = _invert(matrix)
+    solution[0], solution[1], solution[2] = _multiply(inverse, side[0], side[1], side[2])
 
 
 @inlined
 def _add(matrix: Floats, side: Floats, weight: float, ray: Floats, offset: Floats) -> None:
     """Add w (I - u u') to a matrix, and w (o - u'o u) to a side."""
     along = offset[0] * ray[0] + offset[1] * ray[1] + offset[2] * ray[2]
-    add_across(matrix, weight, ray[0], ray[1], ray[2])
+    _add_across(matrix, weight, ray[0], ray[1], ray[2])
     for k in range(3):
         side[k] += weight * (offset[k] - along * ray[k])
 
@@ -216,3 +254,51 @@ def intersect_rays(
                 )
                 _refine(count, centre, ray, precision, steps, weight, matrix, side, point)
         points[:, n] = point
+
+
+@inlined
+def _direction(centre: Floats, points: Floats, n: int) -> tuple[float, float, float, float]:
+    """Return the unit vector from a centre to a point, and the inverse of the squared distance."""
+    x, y, z = points[0, n] - centre[0], points[1, n] - centre[1], points[2, n] - centre[2]
+    inverse = 1 / max(x * x + y * y + z * z, 1e-300)
+    root = math.sqrt(inverse)
+    return x * root, y * root, z * root, inverse
+
+
+@kernel("f8[:,::1], f8[:,::1], f8[:,::1], f8, f8, f8[:,::1]")
+def median_angles(
+    centres: Floats,
+    points: Floats,
+    weight: Floats,
+    least_share: float,
+    untouched: float,
+    medians: Floats,
+) -> None:
+    """Set the medians `[view, N]` of the angles between rays and the points made of them.
+
+    centres: `[view, 3]`; points: `[3, N]`; weight: `[view, N]`. untouched: that of a view that does
+    not see the point.
+    """
+    information = np.empty(6)
+    for n in range(points.shape[1]):
+        information[:] = 0.0
+        for view in range(len(centres)):
+            if weight[view, n] > 0:
+                x, y, z, inverse_square = _direction(centres[view], points, n)
+                _add_across(information, weight[view, n] * inverse_square, x, y, z)
+        c = _invert(information)
+        trace = c[0] + c[3] + c[5]
+        squares = c[0] ** 2 + c[3] ** 2 + c[5] ** 2 + 2 * (c[1] ** 2 + c[2] ** 2 + c[4] ** 2)
+        for view in range(len(centres)):
+            medians[view, n] = untouched
+            if weight[view, n] > 0:
+                x, y, z, inverse_square = _direction(centres[view], points, n)
+                part = weight[view, n] * inverse_square
+                ax, ay, az = _multiply(c, x, y, z)
+                straight = x * ax + y * ay + z * az
+                taken = part * (trace - straight)
+                square = squares - 2 * (ax * ax + ay * ay + az * az) + straight * straight
+                mean = max(2 - taken, 2 * least_share)
+                squared = max(2 - 2 * taken + part * part * square, 0.5 * mean * mean)
+                freedom = min(max(mean * mean / squared, 1.0), 2.0)
+                medians[view, n] = math.sqrt(mean * (1 - 2 / (9 * freedom)) ** 3)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 Function = TypeVar("Function", bound=Callable[..., Any])
 Result = TypeVar("Result")
 
-SHARED = ("algebra", "jit", "lens")  # files of functions that kernels of other files call
+SHARED = ("jit", "lens")  # files of functions that kernels of other files call
 # no wrapper for callers in C, of which there are none: it takes time to compile
 _compile: Any = partial(numba.njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 

@@ -6,6 +6,7 @@ principal point, and up to eight coefficients in OpenCV's order.
 """
 
 import math
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,11 +19,12 @@ _SETTLED, _FLATTEST = 1e-7, 1e-9  # of a step, after which the next is its squar
 _STEPS, _CAREFUL_STEPS, _FISHEYE_STEPS = 5, 60, 20
 _CAREFUL_STEP = 0.1  # longest one
 _LEAST_RADIUS = 1e-5  # of a fisheye: nearer to the axis derivatives are those at this distance
-_Six = tuple[float, float, float, float, float, float]
+Number = TypeVar("Number", float, Floats)
+_Six = tuple[Number, Number, Number, Number, Number, Number]
 
 
 @inlined
-def brown(lens: Floats, x: float, y: float) -> _Six:
+def brown(lens: Floats, x: Number, y: Number) -> _Six[Number]:
     """Return what `distort` does, for the model of Brown and Conrady."""
     k1, k2, p1, p2 = lens[6], lens[7], lens[8], lens[9]
     k3, k4, k5, k6 = lens[10], lens[11], lens[12], lens[13]
@@ -44,7 +46,7 @@ def brown(lens: Floats, x: float, y: float) -> _Six:
 
 
 @inlined
-def _fisheye_radius(lens: Floats, theta: float) -> tuple[float, float]:
+def _fisheye_radius(lens: Floats, theta: Number) -> tuple[Number, Number]:
     """Return the distorted radius at an angle to the axis, and its slope.
 
     r = theta (1 + k1 theta^2 + ... + k4 theta^8), and dr / dtheta.
@@ -57,10 +59,10 @@ def _fisheye_radius(lens: Floats, theta: float) -> tuple[float, float]:
 
 
 @inlined
-def _fisheye(lens: Floats, x: float, y: float) -> _Six:
+def _fisheye(lens: Floats, x: Number, y: Number) -> _Six[Number]:
     """Return what `distort` does, for a fisheye lens."""
-    radius = max(math.hypot(x, y), _LEAST_RADIUS)
-    theta = math.atan(radius)
+    radius = np.maximum(np.hypot(x, y), _LEAST_RADIUS)
+    theta = np.arctan(radius)
     distorted, slope = _fisheye_radius(lens, theta)
     radial = distorted / radius
     by_radius = (slope / (1 + radius * radius) - radial) / (radius * radius)
@@ -75,10 +77,11 @@ def _fisheye(lens: Floats, x: float, y: float) -> _Six:
 
 
 @inlined
-def distort(lens: Floats, x: float, y: float) -> _Six:
+def distort(lens: Floats, x: Number, y: Number) -> _Six[Number]:
     """Return where a lens puts a point of the plane z = 1, and its derivatives.
 
     x and y; the symmetric Jacobian xx, xy, yy; and d x / d k1 over x, which is d y / d k1 over y.
+    Kernels call it for numbers, `geometry.lens` for arrays.
     """
     if lens[0] == FISHEYE:
         return _fisheye(lens, x, y)
@@ -195,60 +198,3 @@ def unproject(
             for n in range(here):
                 for row in range(3):
                     rays[at + n * strides[2] + row * strides[3]] = ray[row, n]
-
-
-@kernel("f8[::1], f8[:,::1], f8[:,::1]")
-def project(lens: Floats, points: Floats, pixels: Floats) -> None:
-    """Set the pixels `[2, N]` of points `[3, N]` in the camera's axes; NaN behind the camera."""
-    for n in range(points.shape[1]):
-        depth = points[2, n] if points[2, n] > 1e-9 else np.nan
-        x, y, _, _, _, _ = distort(lens, points[0, n] / depth, points[1, n] / depth)
-        pixels[0, n] = lens[2] * x + lens[4]
-        pixels[1, n] = lens[3] * y + lens[5]
-
-
-@kernel("f8[::1], f8[:,::1], f8[:,:,::1]")
-def set_slopes(lens: Floats, image: Floats, slopes: Floats) -> None:
-    """Set `[4, 2, N]` the derivatives of pixels: by x, y, the log focal length and k1.
-
-    image: `[2, N]` points of the plane z = 1.
-    """
-    for n in range(image.shape[1]):
-        x, y = image[0, n], image[1, n]
-        lens_x, lens_y, xx, xy, yy, by_k1 = distort(lens, x, y)
-        slopes[0, 0, n], slopes[1, 0, n] = lens[2] * xx, lens[2] * xy
-        slopes[0, 1, n], slopes[1, 1, n] = lens[3] * xy, lens[3] * yy
-        slopes[2, 0, n], slopes[2, 1, n] = lens[2] * lens_x, lens[3] * lens_y
-        slopes[3, 0, n], slopes[3, 1, n] = lens[2] * x * by_k1, lens[3] * y * by_k1
-
-
-@kernel("f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], b1[:,::1], f8[::1]")
-def reprojection_errors(
-    pose: Floats, lenses: Floats, points: Floats, pixels: Floats, used: Bools, error: Floats
-) -> None:
-    """Set the RMS distances `[N]` in pixels of points `[3, N]` from detections; NaN = none is used.
-
-    pose: `[view, 3, 4]` cam_from_world. pixels: `[view, 2, N]`. used: `[view, N]`. A view that has
-    a point behind it adds no distance.
-    """
-    count, total = np.empty(LANES), np.empty(LANES)
-    for start in range(0, points.shape[1], LANES):
-        here = min(LANES, points.shape[1] - start)
-        count[:], total[:] = 0.0, 0.0
-        for view in range(len(pose)):
-            turn, lens = pose[view], lenses[view]
-            for n in range(here):
-                m = start + n
-                x, y, z = points[0, m], points[1, m], points[2, m]
-                depth = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + turn[2, 3]
-                of_x = (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + turn[0, 3]) / depth
-                of_y = (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + turn[1, 3]) / depth
-                lens_x, lens_y, _, _, _, _ = distort(lens, of_x, of_y)
-                off_x = lens[2] * lens_x + lens[4] - pixels[view, 0, m]
-                off_y = lens[3] * lens_y + lens[5] - pixels[view, 1, m]
-                miss = off_x * off_x + off_y * off_y
-                known = (depth > 1e-9) & used[view, m] & (miss < np.inf)
-                total[n] += miss if known else 0.0
-                count[n] += 1.0 if used[view, m] else 0.0
-        for n in range(here):
-            error[start + n] = math.sqrt(total[n] / count[n]) if count[n] > 0 else np.nan

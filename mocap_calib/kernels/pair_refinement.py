@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 
-from mocap_calib.kernels.algebra import cross
 from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats
 
@@ -158,7 +157,8 @@ def _turn(vector: Floats, rotation: Floats) -> None:
     for k in range(3):
         x, y, z = rotation[0, k], rotation[1, k], rotation[2, k]
         along = vector[0] * x + vector[1] * y + vector[2] * z
-        by_x, by_y, by_z = cross(vector[0], vector[1], vector[2], x, y, z)
+        by_x, by_y = vector[1] * z - vector[2] * y, vector[2] * x - vector[0] * z
+        by_z = vector[0] * y - vector[1] * x
         # v x (v x c) = v (v . c) - c |v|^2
         rotation[0, k] += first * by_x + second * (vector[0] * along - x * angle**2)
         rotation[1, k] += first * by_y + second * (vector[1] * along - y * angle**2)

@@ -223,27 +223,33 @@ def take_step(
 
 
 @inlined
-def _eliminate(factor: Floats, sides: Floats, found: Floats) -> None:
+def _eliminate(factor: Floats, near: Floats, far: Floats, found: Floats) -> None:
     """Set -P (F' x + c y), with P of the first of three frames, F of the next, c of the last.
 
-    sides: `[6 * LANES]` x and y.
+    near, far: `[3 * LANES]` x and y.
     """
     for n in range(LANES):
         c = factor[2 * _FACTOR + 15 * LANES + n]
-        x, y, z = sides[n], sides[n + LANES], sides[n + 2 * LANES]
+        x, y, z = near[n], near[n + LANES], near[n + 2 * LANES]
         i, j, k = _FACTOR + 6 * LANES + n, _FACTOR + 9 * LANES + n, _FACTOR + 12 * LANES + n
         to_x = factor[i] * x + factor[j] * y + factor[k] * z
         to_y = factor[i + LANES] * x + factor[j + LANES] * y + factor[k + LANES] * z
         to_z = factor[i + 2 * LANES] * x + factor[j + 2 * LANES] * y + factor[k + 2 * LANES] * z
-        m = 3 * LANES + n
-        x = to_x + c * sides[m]
-        y = to_y + c * sides[m + LANES]
-        z = to_z + c * sides[m + 2 * LANES]
+        x, y, z = to_x + c * far[n], to_y + c * far[n + LANES], to_z + c * far[n + 2 * LANES]
         xx, xy, xz = factor[n], factor[n + LANES], factor[n + 2 * LANES]
         yy, yz, zz = factor[n + 3 * LANES], factor[n + 4 * LANES], factor[n + 5 * LANES]
         found[n] = -(xx * x + xy * y + xz * z)
         found[n + LANES] = -(xy * x + yy * y + yz * z)
         found[n + 2 * LANES] = -(xz * x + yz * y + zz * z)
+
+
+@inlined
+def _transpose(blocks: Floats, found: Floats) -> None:
+    """Set the transposes of blocks, `[3, 3 * LANES]`."""
+    for i in range(3):
+        for j in range(3):
+            for n in range(LANES):
+                found[i, j * LANES + n] = blocks[j, i * LANES + n]
 
 
 @kernel("f8[:,:,::1], f8[:,:,::1]")
@@ -253,30 +259,32 @@ def invert_bands(factor: Floats, found: Floats) -> None:
     factor: as of `bands_kernels.factor_bands`. Blocks of a frame and of the next ones follow from
     those of the next ones alone.
     """
-    sides, column = np.empty((6, LANES)), np.empty((3, LANES))
-    first, both = np.empty((3, 3, LANES)), np.empty((2, 3, 3, LANES))
+    shape = 3, 3 * LANES
+    # by columns: of the next frame, of it and the one after, by columns and by rows, of that
+    near, link, link_rows, far = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
+    to_next, rows, to_far, far_rows = (
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+    )
     for g in range(len(found)):
-        # of the next frame, of it and the one after, and of that
-        near, link, far = np.zeros_like(first), np.zeros_like(first), np.zeros_like(first)
+        near[:], link[:], link_rows[:], far[:] = 0.0, 0.0, 0.0, 0.0
         for t in range(found.shape[1] - 3, 1, -1):
             three = factor[g, t : t + 3].reshape(-1)
             for k in range(3):
-                sides[:3], sides[3:] = near[:, k], link[k]
-                _eliminate(three, sides.reshape(-1), column.reshape(-1))
-                both[0, :, k] = column
-                sides[:3], sides[3:] = link[:, k], far[:, k]
-                _eliminate(three, sides.reshape(-1), column.reshape(-1))
-                both[1, :, k] = column
-            for k in range(3):
-                sides[:3], sides[3:] = both[0, k], both[1, k]
-                _eliminate(three, sides.reshape(-1), column.reshape(-1))
-                first[:, k] = column
+                _eliminate(three, near[k], link_rows[k], to_next[k])
+                _eliminate(three, link[k], far[k], to_far[k])
+            _transpose(to_next, rows)
+            _transpose(to_far, far_rows)
+            far[:], link[:], link_rows[:] = near, to_next, rows
             row = 0
-            far[:], link[:] = near, both[0]
+            for k in range(3):
+                _eliminate(three, rows[k], far_rows[k], near[k])
             for i in range(3):
                 for j in range(i, 3):
                     for n in range(LANES):
-                        value = first[i, j, n] + three[row * LANES + n]
+                        value = near[j, i * LANES + n] + three[row * LANES + n]
                         found[g, t, row * LANES + n] = value
-                        near[i, j, n], near[j, i, n] = value, value
+                        near[i, j * LANES + n], near[j, i * LANES + n] = value, value
                     row += 1

@@ -56,46 +56,6 @@ def _derivatives(
                 into[n] = by_x[n] * x + by_y[n] * y + by_z[n] * z
 
 
-@kernel(
-    "f8[:,:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], "
-    "f8[:,::1], f8[:,:,:,::1], f8[:,:,:,::1]"
-)
-def normal_equations(
-    rotation: Floats,
-    in_camera: Floats,
-    slope: Floats,
-    own: Floats,
-    residual: Floats,
-    point: Floats,
-    point_gradient: Floats,
-    mixed: Floats,
-    camera: Floats,
-) -> None:
-    """Set the equations of n points, from their derivatives.
-
-    in_camera: `[view, 3, n]`. slope: `[view, 2, 3, n]` and own: `[view, 2, intrinsic, n]` as of
-    `Slopes`. residual: `[view, 2, n]`, weighed. camera: `[view, 6 + intrinsic, 2, n]` is set to
-    the derivatives by the cameras. The rest: as of `NormalEquations`.
-    """
-    views, unknowns, _, count = camera.shape
-    by_point = np.empty((2, 3, count))
-    point[:] = 0.0
-    point_gradient[:] = 0.0
-    mixed[:] = 0.0
-    for v in range(views):
-        _derivatives(rotation[v], in_camera[v], slope[v], camera[v], by_point)
-        for c in range(6, unknowns):
-            for k in range(2):
-                camera[v, c, k] = own[v, k, c - 6]
-        for i in range(3):
-            _add_products(by_point[0, i], by_point[1, i], residual[v], point_gradient[i])
-            for j in range(3):
-                _add_products(by_point[0, i], by_point[1, i], by_point[:, j], point[i, j])
-        for c in range(unknowns):
-            for j in range(3):
-                _add_products(camera[v, c, 0], camera[v, c, 1], by_point[:, j], mixed[v, c, j])
-
-
 @inlined
 def _set_roots(point: Floats, root: Floats) -> None:
     """Set the upper triangle of a root Q of V^-1 = QQ' `[3, 3, n]`; the rest stays as it is."""
@@ -113,15 +73,6 @@ def _set_roots(point: Floats, root: Floats) -> None:
         root[0, 2, n] = -(zx * p + zy * root[0, 1, n]) * s
         root[1, 1, n], root[1, 2, n] = q, -zy * q * s
         root[2, 2, n] = s
-
-
-@kernel("f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1]")
-def rooted(point: Floats, mixed: Floats, root: Floats, product: Floats) -> None:
-    """Set a root Q of V^-1 `[3, 3, n]`, and W Q `[C view, 3, n]`."""
-    root[:] = 0.0
-    _set_roots(point, root)
-    for c in range(len(mixed)):
-        _turn_rows(mixed[c, 0], mixed[c, 1], mixed[c, 2], root, product[c])
 
 
 @inlined
@@ -165,8 +116,9 @@ def reduced(
 ) -> None:
     """Set what the reduced system of n points is made of, a tile of them after the other.
 
-    The first: as of `normal_equations`, and camera: `[view, 6 + intrinsic, 2, n]`. product: W Q
-    `[C view, 3, n]`, Q being a root of V^-1, and side: Q'b `[3, n]`.
+    in_camera: `[view, 3, n]`. slope: `[view, 2, 3, n]` and own: `[view, 2, intrinsic, n]` by the
+    points and the intrinsics. residual: `[view, 2, n]`. camera: `[view, 6 + intrinsic, 2, n]` by
+    the cameras. product: W Q `[C view, 3, n]`, Q being a root of V^-1, and side: Q'b `[3, n]`.
     """
     (views, unknowns), count = camera.shape[:2], in_camera.shape[2]
     where, by_camera = np.empty((3, _TILE)), np.empty((2, 3, _TILE))

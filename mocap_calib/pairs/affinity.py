@@ -13,8 +13,7 @@ import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
-from mocap_calib.kernels.affinity import fit_hypotheses
-from mocap_calib.kernels.all_views import fit_all_views
+from mocap_calib.kernels.affinity import fit_all_views, fit_hypotheses
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
@@ -151,9 +150,11 @@ def epipolar_fit(
     detections have too few joints in common.
     """
     fit = np.zeros((len(rotation), *pair.overlap.lifted.shape))
+    matrices = unit_essential_matrix(rotation, translation)
     fit_hypotheses(
         *contiguous(
-            unit_essential_matrix(rotation, translation),
+            matrices,
+            np.swapaxes(matrices, 1, 2),
             np.swapaxes(pair.a.rays, 2, 3),
             np.swapaxes(pair.b.rays, 2, 3),
             pair.a.weight,
@@ -186,8 +187,11 @@ def epipolar_affinity(
     views, frames, instances, _ = sample.confidence.shape
     affinity = np.zeros((frames, views, instances, views, instances))
     comparable = np.zeros_like(affinity)
+    known = np.isfinite(sample.rays[..., :1])
+    rays = np.where(known, sample.rays, 0.0).swapaxes(3, 4)
+    weight = np.where(known[..., 0], sample.confidence, 0.0)
     fit_all_views(
-        *contiguous(sample.rays, sample.confidence, distance, _essential_matrices(rig)),
+        *contiguous(rays, weight, distance, _essential_matrices(rig)),
         config.inlier,
         config.least_joints,
         affinity,

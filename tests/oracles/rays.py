@@ -21,11 +21,14 @@ def across(directions: Floats) -> Floats:
 
 
 def solve(weight: Floats, rays: Floats, side: Floats) -> Floats:
-    """Return the point of sum w (I - u u') (x - s) = 0, with weights scaled to 1 and a ridge."""
+    """Return the point of sum w (I - u u') (x - s) = 0, with weights scaled to 1.
+
+    The ridge is 1e-10 of the trace, which is 2.
+    """
     share = weight / weight.sum()
     matrix = np.einsum("v,vij->ij", share, across(rays))
     return np.linalg.solve(
-        matrix + 1e-10 * np.eye(3), np.einsum("v,vij,vj->i", share, across(rays), side)
+        matrix + 2e-10 * np.eye(3), np.einsum("v,vij,vj->i", share, across(rays), side)
     )
 
 
