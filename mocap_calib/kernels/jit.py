@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 Function = TypeVar("Function", bound=Callable[..., Any])
 Result = TypeVar("Result")
 
-SHARED = ("jit", "lens")  # files of functions that kernels of other files call
+SHARED = ("jit", "lens", "pose_energy")  # others take functions and sizes of these files
 # no wrapper for callers in C, of which there are none: it takes time to compile
 _compile: Any = partial(numba.njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 
@@ -59,7 +59,8 @@ def kernel(*types: str) -> Callable[[Callable[..., Result]], Callable[..., Resul
 
 def inlined(function: Function) -> Function:
     """Let kernels call a function, which stays one of Python beside."""
-    return cast(Function, register_jitable(no_cfunc_wrapper=True)(function))
+    found: Function = register_jitable(no_cfunc_wrapper=True)(function)
+    return found
 
 
 def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:

@@ -239,7 +239,7 @@ def sum_known(
     """Set blocks of the diagonal to what is known of each joint without accelerations.
 
     By its rays, and by its bones as far as their other ends are known without them. Arrays are as
-    of `sum_terms` and, expected, of `bands_kernels.factor_bands`.
+    of `sum_terms` and, expected, of `pose_bands.factor_bands`.
     """
     own, along = np.empty((rays.shape[2], 12 * LANES)), np.empty(4 * LANES)
     variance, ridge = np.empty((len(own), _BLOCK)), np.empty(LANES)

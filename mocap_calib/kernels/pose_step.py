@@ -1,14 +1,14 @@
 """What factored bands give: the step of a fit, and the blocks of the inverse, compiled.
 
-Rows are as in `energy_kernels`.
+Rows are as in `pose_energy`.
 """
 
 import numpy as np
 
 from mocap_calib.kernels.jit import inlined, kernel
+from mocap_calib.kernels.pose_energy import LANES
 from mocap_calib.types import Floats, Ints
 
-LANES = 20
 _POINT = 3 * LANES
 _FACTOR = 16 * LANES
 
@@ -79,7 +79,9 @@ def _couple_ends(along: Floats, first: Floats, second: Floats) -> None:
 
 
 @inlined
-def _couple(along: Floats, edges: Ints, joints: Floats, vectors: Floats, image: Floats) -> None:
+def _couple(
+    along: Floats, edges: Ints, joints: Floats, vectors: Floats, first: int, image: Floats
+) -> None:
     """Set what the bones' coupling makes of vectors in a tile, `[group, frame, _POINT]`.
 
     joints: `[joint, 2 * _POINT]`, is overwritten.
@@ -88,38 +90,40 @@ def _couple(along: Floats, edges: Ints, joints: Floats, vectors: Floats, image: 
         row, g, n = joints[j], j // LANES, j % LANES
         for f in range(LANES):
             for k in range(3):
-                row[k * LANES + f] = vectors[g, f, k * LANES + n]
-        row[_POINT:] = 0.0
+                row[k * LANES + f] = vectors[g, first + f, k * LANES + n]
+        for k in range(_POINT, len(row)):
+            row[k] = 0.0
     for e in range(len(edges)):
         _couple_ends(along[e], joints[edges[e, 0]], joints[edges[e, 1]])
     for j in range(len(joints)):
         row, g, n = joints[j], j // LANES, j % LANES
         for f in range(LANES):
             for k in range(3):
-                image[g, f, k * LANES + n] = row[_POINT + k * LANES + f]
+                image[g, first + f, k * LANES + n] = row[_POINT + k * LANES + f]
 
 
 @inlined
-def _add_products(first: Floats, second: Floats, total: Floats) -> None:
-    """Add the products of tiles `[frame, _POINT]` to a row."""
-    for f in range(LANES):
-        one, other = first[f], second[f]
-        for n in range(len(total)):
-            total[n] += one[n] * other[n]
+def _add_products(rows: Floats, others: Floats, first: int, total: Floats) -> None:
+    """Add the products of the rows of a tile."""
+    for t in range(first, first + LANES):
+        for n in range(_POINT):
+            total[n] += rows[t, n] * others[t, n]
 
 
 @inlined
-def _add_times(factor: float, rows: Floats, total: Floats) -> None:
-    """Add a factor times rows to others."""
-    for n in range(len(rows)):
-        total[n] += factor * rows[n]
+def _add_times(factor: float, rows: Floats, first: int, total: Floats) -> None:
+    """Add a factor times the rows of a tile to others."""
+    for t in range(first, first + LANES):
+        for n in range(_POINT):
+            total[t, n] += factor * rows[t, n]
 
 
 @inlined
-def _renew(rows: Floats, share: float, direction: Floats) -> None:
-    """Set a direction to rows and its share of what it was."""
-    for n in range(len(rows)):
-        direction[n] = rows[n] + share * direction[n]
+def _renew(rows: Floats, share: float, first: int, direction: Floats) -> None:
+    """Set the rows of a tile of a direction to others and its share of what it was."""
+    for t in range(first, first + LANES):
+        for n in range(_POINT):
+            direction[t, n] = rows[t, n] + share * direction[t, n]
 
 
 @inlined
@@ -147,11 +151,10 @@ def _move_step(length: float, work: Floats, factor: Floats, step: Floats) -> flo
     residual, towards, image, direction = work[0], work[1], work[2], work[3]
     total = np.zeros(LANES)
     for first in range(2, step.shape[1] - 2, LANES):
-        tile = slice(first, first + LANES)
         for g in range(len(step)):
-            _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
-            _add_times(-length, image[g, tile].reshape(-1), residual[g, tile].reshape(-1))
-            towards[g, tile] = residual[g, tile]
+            _add_times(length, direction[g], first, step[g])
+            _add_times(-length, image[g], first, residual[g])
+            _renew(residual[g], 0.0, first, towards[g])
         _forwards(first, factor, towards, total)
     return float(total.sum())
 
@@ -167,15 +170,14 @@ def _turn_direction(
     residual, towards, image, direction, by_bands = work[0], work[1], work[2], work[3], work[4]
     total = np.zeros(_POINT)
     for first in range(towards.shape[1] - 2 - LANES, 1, -LANES):
-        tile = slice(first, first + LANES)
         _backwards(first, factor, towards)
         for g in range(len(towards)):
-            _renew(towards[g, tile].reshape(-1), share, direction[g, tile].reshape(-1))
-            _renew(residual[g, tile].reshape(-1), share, by_bands[g, tile].reshape(-1))
-        _couple(along[first // LANES], edges, joints, direction[:, tile], image[:, tile])
+            _renew(towards[g], share, first, direction[g])
+            _renew(residual[g], share, first, by_bands[g])
+        _couple(along[first // LANES], edges, joints, direction, first, image)
         for g in range(len(towards)):
-            _renew(by_bands[g, tile].reshape(-1), -1.0, image[g, tile].reshape(-1))
-            _add_products(direction[g, tile], image[g, tile], total)
+            _renew(by_bands[g], -1.0, first, image[g])
+            _add_products(direction[g], image[g], first, total)
     return float(total.sum())
 
 
@@ -194,8 +196,8 @@ def take_step(
 
     rounds: of conjugate gradients. work: five arrays like the step, at first of zeros: the
     residual; what the bands make of it; the image of the direction; the direction; and the product
-    of the bands' matrix with it. The rest: as of `energy_kernels.sum_terms` and
-    `bands_kernels.factor_bands`.
+    of the bands' matrix with it. The rest: as of `pose_energy.sum_terms` and
+    `pose_bands.factor_bands`.
     """
     groups, padded, _ = step.shape
     joints, total = np.empty((keypoints, 2 * _POINT)), np.zeros(LANES)
@@ -204,8 +206,7 @@ def take_step(
     for first in range(padded - 2 - LANES, 1, -LANES):
         _backwards(first, factor, step)
         if rounds:
-            tile = slice(first, first + LANES)
-            _couple(along[first // LANES], edges, joints, step[:, tile], work[0][:, tile])
+            _couple(along[first // LANES], edges, joints, step, first, work[0])
     before, length = np.inf, 0.0
     for _ in range(rounds):
         product = _move_step(length, work, factor, step)
@@ -217,9 +218,8 @@ def take_step(
     direction = work[3]
     for g in range(groups):
         for first in range(2, padded - 2, LANES):
-            tile = slice(first, first + LANES)
-            _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
-            _add_times(-1.0, step[g, tile].reshape(-1), points[g, tile].reshape(-1))
+            _add_times(length, direction[g], first, step[g])
+            _add_times(-1.0, step[g], first, points[g])
 
 
 @inlined
@@ -256,7 +256,7 @@ def _transpose(blocks: Floats, found: Floats) -> None:
 def invert_bands(factor: Floats, found: Floats) -> None:
     """Set the blocks of the diagonal of the inverse `[group, frame, 6 * LANES]` (Takahashi 1973).
 
-    factor: as of `bands_kernels.factor_bands`. Blocks of a frame and of the next ones follow from
+    factor: as of `pose_bands.factor_bands`. Blocks of a frame and of the next ones follow from
     those of the next ones alone.
     """
     shape = 3, 3 * LANES

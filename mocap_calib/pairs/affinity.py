@@ -13,7 +13,7 @@ import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
-from mocap_calib.kernels.affinity import fit_all_views, fit_hypotheses
+from mocap_calib.kernels.association import fit_all_views, fit_hypotheses
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample

@@ -14,7 +14,7 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import five_point
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.kernels import pair_refinement
-from mocap_calib.kernels.affinity import share_in_front
+from mocap_calib.kernels.association import share_in_front
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.pairs.affinity import (
     body_agreement,

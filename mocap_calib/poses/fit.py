@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.kernels import pose_bands, pose_energy, pose_motion, pose_step
+from mocap_calib.kernels import pose_bands, pose_energy, pose_step
 from mocap_calib.kernels.pose_energy import LANES
 from mocap_calib.poses.track import ROUNDS, Body, Detections
 from mocap_calib.types import Floats, Ints
@@ -153,7 +153,7 @@ class _Packed:
         if self.expected[:, 0].any():
             known = self.joints * config.shared_acceleration
             part = known / (1 + known)
-            pose_motion.share_accelerations(
+            pose_bands.share_accelerations(
                 self.points, self.steps, self.joints, ROUNDS, part, self.expected
             )
 

@@ -14,7 +14,7 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import LEAST_LIFT_SPREAD, Config, PairwiseConfig
-from mocap_calib.kernels.clustering import cluster_frames
+from mocap_calib.kernels.association import cluster_frames
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.pairs.affinity import epipolar_affinity
 from mocap_calib.pairs.view_pair import distances, distances_by_size

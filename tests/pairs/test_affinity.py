@@ -10,7 +10,7 @@ from scenes import lifted, recording, scene
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.kernels.affinity import share_in_front
+from mocap_calib.kernels.association import share_in_front
 from mocap_calib.pairs.affinity import (
     body_agreement,
     epipolar_affinity,
