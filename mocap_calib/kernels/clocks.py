@@ -1,7 +1,4 @@
-"""Agreement at the offsets of a clock, and the best path through these, compiled.
-
-`clock_paths` says the same in numpy.
-"""
+"""Agreement at the offsets of a clock, and the best path through these."""
 
 import math
 
@@ -14,7 +11,7 @@ from mocap_calib.types import Floats, Ints
 
 @kernel("f8[:,::1], f8, i8, i8[::1]")
 def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
-    """Set the path `[frame]` through a table `[frame, offset]`: see `clock_paths._follow`.
+    """Set the path `[frame]` through a table `[frame, offset]`, as of `clocks.maps`.
 
     largest_step: by which a camera is ahead at once.
     """
@@ -44,7 +41,11 @@ def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
 
 @kernel("f4[:,:,::1], i8[:,::1], i8[::1], f8[:,:,::1]")
 def add_windows(values: NDArray[np.float32], row: Ints, first: Ints, table: Floats) -> None:
-    """Add windows of rows of agreement to a table: see `clock_paths._add_windows`."""
+    """Add windows of rows of agreement `[stretch, row, frame]` to a table of a clock.
+
+    row: `[stretch, frame]`, -1 = none. first: `[frame]` of the window. table: `[stretch, frame,
+    offset]`.
+    """
     stretches, frames, offsets = table.shape
     own_frames = values.shape[2]
     for stretch in range(stretches):

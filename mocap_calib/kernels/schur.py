@@ -1,7 +1,4 @@
-"""The normal equations of cameras and points, compiled.
-
-`residuals` and `schur` define what is computed.
-"""
+"""The normal equations of cameras and points, of which the points are eliminated."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Points that settle under cameras that stay, compiled. `settling` defines what is computed.
+"""Points of least cost for fixed cameras, and the residuals linearised there.
 
 What a view saw of a point is `[4, 3]` numbers: its ray and the two rows of its metric, where lenses
 are known; its pixel, else; and where the origin lay in its frame when it saw the point. A lens is a

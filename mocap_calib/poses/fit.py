@@ -116,10 +116,11 @@ def squared_errors(points: Floats, seen: Detections) -> Floats:
 
     points: `[keypoint, frame, 3]`.
     """
-    found = np.empty(seen.precision.shape)
-    given = points.swapaxes(1, 2), seen.rays, seen.precision, seen.centres
-    pose_energy.square_angles(*(np.ascontiguousarray(array) for array in given), found)
-    return found
+    offset = points.transpose(2, 0, 1)[:, None] - seen.centres.T[:, :, None, None]
+    along = np.einsum("iv...,iv...->v...", offset, seen.rays)
+    depth = np.maximum(along, 1e-3 * np.abs(offset).sum(0))
+    offset -= along * seen.rays
+    return np.einsum("iv...,iv...->v...", offset, offset) * seen.precision / depth**2
 
 
 # The layout of the kernels: tiles of `LANES` frames, and groups of `LANES` joints side by side
