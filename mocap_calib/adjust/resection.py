@@ -36,7 +36,7 @@ _FITS = 0.5  # cost below which a detection may show a body
 _CLEARLY = 0.5  # of the other cost: one of two readings is clearly better
 _LEAST_COMPARED = 3  # joints of a detection and a body that are compared: six of two give eleven
 PINHOLE = Camera("", (0, 0), np.eye(3))  # whose pixels are focal lengths
-_STEP = CameraFitConfig(loss_scales=(1.0,), steps=1)
+_ROUND = CameraFitConfig(loss_scales=(1.0,), steps=5)  # of one tolerance
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def refine_poses(
     for tolerance in tolerances:
         bodies = compare_poses(poses, seen, tolerance, least_joints).body
         moved = [
-            fit_camera(PINHOLE, seen.known_points(body, own), pose, _STEP, noise=tolerance).pose
+            fit_camera(PINHOLE, seen.known_points(body, own), pose, _ROUND, noise=tolerance).pose
             for pose, body, own in zip(poses.each(), bodies, counted, strict=True)
         ]
         poses = CameraPoses(
