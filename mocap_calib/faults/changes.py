@@ -48,7 +48,7 @@ def find_epochs(
     *,
     least_noise: float,
 ) -> tuple[Epochs, float]:
-    """Return the epochs of a camera, and the evidence (nats) of their changes.
+    """Return the epochs of a camera, and the evidence (nats) of the last change.
 
     There is one epoch, and no evidence, where the evidence of no change is decisive.
 
@@ -71,7 +71,7 @@ def find_epochs(
         found = tried[int(np.argmin(_total_costs(tried, seen, moved)))]
         nats = _evidence(accepted, found, seen, config)
         if nats >= DECISIVE_NATS:
-            accepted, evidence = found, evidence + nats
+            accepted, evidence = found, nats
     return accepted, evidence
 
 
