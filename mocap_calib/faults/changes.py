@@ -1,28 +1,26 @@
 """The moments from which on one camera stands elsewhere, given bodies that other cameras place.
 
 With one pose for each epoch the errors of a camera that was moved fall at once to those of a
-camera that was not. Epochs are split one after the other (binary segmentation, Scott and Knott
-1974), as long as the evidence of a change is decisive.
+camera that was not. Errors that drift with the subject, by the lens or a wrong focal length, fall
+bit by bit with each further epoch: a change is believed where it explains far more than one more
+change would (binary segmentation, Scott and Knott 1974).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import CameraPoses, Seen, fit_camera
+from mocap_calib.adjust.camera_fit import CameraPoses
 from mocap_calib.adjust.resection import (
-    PINHOLE,
     Sightings,
-    compare_poses,
     costs_of,
     linearise,
     propose_poses,
     refine_poses,
     typical_error,
 )
-from mocap_calib.config import DECISIVE_NATS, Config, MovedConfig
-from mocap_calib.faults.fits import Gain, robust_costs
+from mocap_calib.config import DECISIVE_NATS, MovedConfig
 from mocap_calib.rig.tracks import MEDIAN_DISTANCE
 from mocap_calib.types import POSE, Bools, Floats, Ints
 
@@ -44,91 +42,41 @@ class Epochs:
 def find_epochs(
     start: CameraPoses,
     seen: Sightings,
-    config: Config,
+    config: MovedConfig,
     *,
     least_noise: float,
 ) -> tuple[Epochs, float]:
-    """Return the epochs of a camera, and the evidence (nats) of the last change.
+    """Return the epochs of a camera, and the evidence (nats) of their changes.
 
     There is one epoch, and no evidence, where the evidence of no change is decisive.
 
     start: the pose in the rig. least_noise: radians, below which no detector is.
     """
-    moved = config.moved
-    loose = moved.loose * float(np.median(seen.size))
-    found = _refine(np.zeros(0, np.int64), start, seen, moved, (loose, least_noise))
-    proposed = start + propose_poses(start, seen, moved)
-    costs = costs_of(proposed, seen, moved.loose * seen.size, moved.least_joints)
-    accepted, evidence = found, 0.0
-    for _ in range(moved.most_changes):
+    loose = config.loose * float(np.median(seen.size))
+    found = [_refine(np.zeros(0, np.int64), start, seen, config, (loose, least_noise))]
+    proposed = start + propose_poses(start, seen, config)
+    costs = costs_of(proposed, seen, config.loose * seen.size, config.least_joints)
+    for _ in range(config.most_changes + 1):
         tried = []
-        for split in _propose_splits(found, proposed, costs, seen, moved):
-            widest = loose if split.is_large else 2 * found.tolerance
-            starts, poses = _with_split(found, split)
-            tried.append(_refine(starts, poses, seen, moved, (widest, least_noise)))
+        for split in _propose_splits(found[-1], proposed, costs, seen, config):
+            widest = loose if split.is_large else 2 * found[-1].tolerance
+            starts, poses = _with_split(found[-1], split)
+            tried.append(_refine(starts, poses, seen, config, (widest, least_noise)))
         if not tried:
             break
-        found = tried[int(np.argmin(_total_costs(tried, seen, moved)))]
-        nats = _evidence(accepted, found, seen, config)
-        if nats >= DECISIVE_NATS:
-            accepted, evidence = found, nats
-    return accepted, evidence
+        best = int(_total_costs(tried, seen, config)[0].argmin())
+        (before, after), detections = _total_costs([found[-1], tried[best]], seen, config)
+        found.append(tried[best])
+        if detections * (before / max(after, 1e-12) - 1) < 1:
+            break
+    costs, detections = _total_costs(found, seen, config)
+    return _choose_number(found, costs, detections, config)
 
 
-def _evidence(before: Epochs, after: Epochs, seen: Sightings, config: Config) -> float:
-    """Return the evidence (nats) of more epochs, by the same fits as of other faults.
-
-    Of the detections that either explains: the others are of strangers. A change may be in any
-    block of time, and each is as likely beforehand.
-    """
-    moved = config.moved
-    both = [own_match(each, after.tolerance, seen, moved) for each in (before, after)]
-    cost, body = np.stack([match[0] for match in both]), np.stack([match[1] for match in both])
-    nearest = body[cost.argmin(0), np.arange(len(seen.frame))]
-    known = seen.known_points(nearest, np.nan_to_num(cost, nan=1.0).min(0) < moved.explained)
-    detection = known.block
-    known = replace(known, block=detection * config.diagnosis.time_blocks // len(seen.frame))
-    noise = after.tolerance / moved.tolerance_noises
-    poses = before.poses + after.poses
-    errors = [
-        _fitted_errors(_epoch_of(each.starts, detection), poses, known, config, noise=noise)
-        for each in (before, after)
-    ]
-    noise = min(float(np.median(error)) for error in errors) / MEDIAN_DISTANCE
-    gains = robust_costs(errors[0], noise) - robust_costs(errors[1], noise)
-    unknowns = POSE * len(after.poses), POSE * len(before.poses)
-    gain = Gain.of(gains, known, unknowns, epoch=_epoch_of(after.starts, detection))
-    changes = len(after.starts) - len(before.starts)
-    return gain.evidence - changes * float(np.log(config.diagnosis.time_blocks))
-
-
-def _fitted_errors(
-    epoch: Ints, poses: CameraPoses, known: Seen, config: Config, *, noise: float
-) -> Floats:
-    """Return the errors `[N]`, in focal lengths, of points under a pose fitted to each epoch.
-
-    epoch: `[N]` of each point. poses: where the fits begin.
-    """
-    errors = np.empty(len(epoch))
-    for number in np.unique(epoch):
-        own = np.flatnonzero(epoch == number)
-        fits = [
-            fit_camera(PINHOLE, known.select(own), pose, config.diagnosis.fit, noise=noise)
-            for pose in poses.each()
-        ]
-        found = [fit.error for fit in fits]
-        errors[own] = min(found, key=lambda error: robust_costs(error, noise).sum())
-    return errors
-
-
-def own_match(
-    epochs: Epochs, tolerance: float, seen: Sightings, config: MovedConfig
-) -> tuple[Floats, Ints]:
-    """Return the cost and the body `[detection]` of each detection under the pose of its epoch."""
-    every = np.arange(len(seen.frame))
-    found = compare_poses(epochs.poses, seen, tolerance, config.least_joints)
-    own = _epoch_of(epochs.starts, every), every
-    return found.cost[own], found.body[own]
+def own_costs(epochs: Epochs, tolerance: float, seen: Sightings, config: MovedConfig) -> Floats:
+    """Return the cost `[detection]` of each detection under the pose of its epoch."""
+    cost = costs_of(epochs.poses, seen, tolerance, config.least_joints)
+    return cost[_epoch_of(epochs.starts, len(seen.frame)), np.arange(len(seen.frame))]
 
 
 def change_at_a_glance(start: CameraPoses, seen: Sightings, config: MovedConfig) -> float:
@@ -196,14 +144,14 @@ def _explained(normal: Floats, target: Floats) -> Floats:
     return np.asarray((step * target).sum(-1))
 
 
-def _epoch_of(starts: Ints, detection: Ints) -> Ints:
-    """Return the epochs `[N]` of detections (indices)."""
-    return np.searchsorted(starts, detection, side="right")
+def _epoch_of(starts: Ints, detections: int) -> Ints:
+    """Return the epoch `[detection]` of each detection."""
+    return np.searchsorted(starts, np.arange(detections), side="right")
 
 
 def _members(starts: Ints, detections: int) -> Bools:
     """Return which detections are of each epoch, `[epoch, detection]`."""
-    return _epoch_of(starts, np.arange(detections)) == np.arange(len(starts) + 1)[:, None]
+    return _epoch_of(starts, detections) == np.arange(len(starts) + 1)[:, None]
 
 
 def _least(seen: Sightings, config: MovedConfig) -> int:
@@ -211,10 +159,16 @@ def _least(seen: Sightings, config: MovedConfig) -> int:
     return max(config.least_detections, int(np.ceil(config.least_share * len(seen.frame))))
 
 
-def _total_costs(found: list[Epochs], seen: Sightings, config: MovedConfig) -> list[float]:
-    """Return the cost of all detections for each of several epochs, at one tolerance."""
+def _total_costs(found: list[Epochs], seen: Sightings, config: MovedConfig) -> tuple[Floats, int]:
+    """Return the cost for each of several numbers of epochs, and of how many detections.
+
+    All at the tolerance of the finest, of the detections that one of them explains: the others are
+    of strangers.
+    """
     tolerance = min(epochs.tolerance for epochs in found)
-    return [float(np.nansum(own_match(each, tolerance, seen, config)[0])) for each in found]
+    costs = np.array([own_costs(epochs, tolerance, seen, config) for epochs in found])
+    explained = (costs < config.explained).any(0)
+    return np.asarray(costs[:, explained].sum(1)), int(explained.sum())
 
 
 @dataclass(frozen=True)
@@ -344,3 +298,23 @@ def _move_starts(starts: Ints, cost: Floats, least: int) -> Ints:
         if len(possible):
             moved[k] = first + least + int(possible.argmin())
     return moved
+
+
+def _choose_number(
+    found: list[Epochs], costs: Floats, detections: int, config: MovedConfig
+) -> tuple[Epochs, float]:
+    """Return the epochs that are accepted, of those with 0, 1, 2, ... changes, and their evidence.
+
+    A change that lowers the cost of n detections by a share g has n g / 2 nats (a profile
+    likelihood), divided by what one more change would seem to have: errors that drift with the
+    subject are no independent errors, and they fall bit by bit.
+
+    costs: `[change]` of each, of so many detections.
+    """
+    gains = np.maximum(costs[:-1] / np.maximum(costs[1:], 1e-12) - 1, 0.0) * detections
+    for changes in range(min(len(gains), config.most_changes), 0, -1):
+        further = max(1.0, float(gains[changes:].max(initial=0.0)))
+        evidence = min(float(gains[:changes].min()), float(gains[changes - 1]) / further) / 2
+        if evidence >= DECISIVE_NATS:
+            return found[changes], evidence
+    return found[0], 0.0

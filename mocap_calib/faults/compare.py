@@ -18,6 +18,7 @@ from mocap_calib.faults.words import describe
 from mocap_calib.recording.corrections import Exchanged
 from mocap_calib.results import CalibrationResult, Fault, GroupResult
 from mocap_calib.rig.observed import Observed
+from mocap_calib.types import POSE
 
 _LEAST_DIFFERENCE = 0.01  # of the logarithms of focal lengths; to exchange equal ones is harmless
 _SYSTEMATIC = 0.01  # error of a change of focal length beyond its standard deviation
@@ -72,15 +73,14 @@ def _compare(
     enough = [k for k, nats in enumerate(evidence) if nats > DECISIVE_NATS]
     if not enough:
         return None
-    # one number: all see the same keypoints
-    effective = min(fitted[k].gain.effective for k in enough)
+    effective = min(fitted[k].effective for k in enough)  # one number: all see the same keypoints
     best = max(
         enough,
-        key=lambda k: _upright(fitted[k], config.diagnosis) + fitted[k].gain.expected(effective),
+        key=lambda k: _upright(fitted[k], config.diagnosis) + _gained(fitted[k], effective),
     )
     # any camera beside a faulty one looks faulty itself, and of two halves of a rig whose sides
     # differ, the one whose bodies are lifted more alike is right
-    nats = fitted[best].gain.mean * len(fitted[best].source) * others.pair_score**2
+    nats = fitted[best].gain * len(fitted[best].source) * others.pair_score**2
     return Alternative((_name_fault(fitted[best], evidence[best], share, config.diagnosis),), nats)
 
 
@@ -93,8 +93,12 @@ def _evidence(fitted: FittedHypothesis, share: float, config: DiagnosisConfig) -
     if name == "given":
         return 0.0
     if name == "sides" and share > config.exchanged_share:
-        return share * fitted.gain.effective  # a nat each, for those that fit exchanged alone
-    gained = _upright(fitted, config) + fitted.gain.evidence
+        return share * fitted.effective  # a nat each, for those that fit exchanged alone
+    # no more than chance would hardly make of keypoints that differ so much (Vuong 1989)
+    certain = fitted.gain * abs(fitted.gain) / max(2 * fitted.spread**2, 1e-300)
+    gained = _upright(fitted, config) + min(
+        _gained(fitted, fitted.effective), certain * fitted.effective
+    )
     if fitted.hypothesis.free:
         return min(evidence_of_unknowns(fitted.hypothesis, fitted.fit, config), gained)
     return gained
@@ -103,6 +107,24 @@ def _evidence(fitted: FittedHypothesis, share: float, config: DiagnosisConfig) -
 def _upright(fitted: FittedHypothesis, config: DiagnosisConfig) -> float:
     """Return the evidence (nats) of a camera on its side that its images are rotated."""
     return config.upright_nats if fitted.hypothesis.name.startswith("rotated") else 0.0
+
+
+def _gained(fitted: FittedHypothesis, effective: float) -> float:
+    """Return the gain (nats) of so many keypoints, others than those that were fitted.
+
+    It is less by what unknowns gain of errors alone.
+    """
+    price = _price(POSE + len(fitted.hypothesis.free), effective) - _price(POSE, effective)
+    return fitted.gain * effective - price
+
+
+def _price(unknowns: int, keypoints: float) -> float:
+    """Return by how many nats a fit is better than it would be on other keypoints.
+
+    Akaike's criterion for small samples (Hurvich and Tsai 1989); a keypoint is two numbers.
+    """
+    spare = max(2 * keypoints - unknowns - 1, 1.0)
+    return unknowns + unknowns * (unknowns + 1) / spare
 
 
 def _name_fault(
@@ -116,7 +138,7 @@ def _name_fault(
     assert mend is not None
     evidence: dict[str, float | int | str] = {
         "nats": nats,
-        "gain": fitted.gain.mean,
+        "gain": fitted.gain,
         "keypoints": len(fitted.source),
         "error_px": float(np.median(fitted.fit.error)),
     }

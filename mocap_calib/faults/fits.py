@@ -27,65 +27,10 @@ from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.observed import Observed
 from mocap_calib.rig.tracks import MEDIAN_DISTANCE
-from mocap_calib.types import POSE, Camera, Floats, Ints
+from mocap_calib.types import Camera, Floats, Ints
 
 _ROUGH_KEYPOINTS = 300  # of a first fit, and so many hypotheses are fitted to all keypoints
 _FITTED = 6
-
-
-@dataclass(frozen=True)
-class Gain:
-    """By how much one fit of a camera lowers the robust costs of keypoints, against another.
-
-    mean, spread: of the gains of keypoints, spread as a standard deviation.
-    effective: number of keypoints with independent gains that would tell as much.
-    unknowns: of the first fit and of the other.
-    """
-
-    mean: float
-    spread: float
-    effective: float
-    unknowns: tuple[int, int]
-
-    @classmethod
-    def of(
-        cls, gains: Floats, seen: Seen, unknowns: tuple[int, int], epoch: Ints | None = None
-    ) -> "Gain":
-        """Return that of the gains `[N]` of keypoints.
-
-        epoch: `[N]` of each, where means may differ between epochs: they are strata then.
-        """
-        epoch = np.zeros(len(gains), np.int64) if epoch is None else epoch
-        usual = np.bincount(epoch, gains) / np.maximum(np.bincount(epoch), 1)
-        within = gains - usual[epoch]
-        effective = effective_number(within, (seen.block, seen.keypoint))
-        return cls(float(gains.mean()), float(within.std()), effective, unknowns)
-
-    def expected(self, effective: float) -> float:
-        """Return the gain (nats) of so many keypoints, others than those that were fitted.
-
-        It is less by what unknowns gain of errors alone.
-        """
-        one, other = (_price(unknowns, effective) for unknowns in self.unknowns)
-        return self.mean * effective - (one - other)
-
-    @property
-    def evidence(self) -> float:
-        """The expected gain (nats), and no more than is certain.
-
-        Chance would hardly make so much of keypoints that differ so much (Vuong 1989).
-        """
-        certain = self.mean * abs(self.mean) / max(2 * self.spread**2, 1e-300)
-        return min(self.expected(self.effective), certain * self.effective)
-
-
-def _price(unknowns: int, keypoints: float) -> float:
-    """Return by how many nats a fit is better than it would be on other keypoints.
-
-    Akaike's criterion for small samples (Hurvich and Tsai 1989); a keypoint is two numbers.
-    """
-    spare = max(2 * keypoints - unknowns - 1, 1.0)
-    return unknowns + unknowns * (unknowns + 1) / spare
 
 
 @dataclass(frozen=True)
@@ -93,14 +38,18 @@ class FittedHypothesis:
     """A hypothesis fitted to the keypoints of a camera.
 
     source: `[N]` indices of their points among those of the other cameras.
-    gain: against the input as given.
+    gain: by which it lowers the robust cost of a keypoint, against the input as given; spread: its
+        standard deviation over keypoints.
+    effective: number of keypoints with independent gains that would tell as much.
     """
 
     hypothesis: Hypothesis
     seen: Seen
     source: Ints
     fit: CameraFit
-    gain: Gain
+    gain: float
+    spread: float
+    effective: float
 
 
 def fit_hypotheses(
@@ -226,8 +175,8 @@ def _fit_all(
             fit_camera(each.camera, part, start, quick, noise=noise, free=each.free)
             for start in starts
         ]
-        rough[each.name] = min(fits, key=lambda fit: robust_costs(fit.error, noise).mean())
-    order = sorted(tried[1:], key=lambda each: robust_costs(rough[each.name].error, noise).mean())
+        rough[each.name] = min(fits, key=lambda fit: _costs(fit, noise).mean())
+    order = sorted(tried[1:], key=lambda each: _costs(rough[each.name], noise).mean())
     kept = [tried[0], *order[:_FITTED]]
     fits = [
         fit_camera(
@@ -241,12 +190,13 @@ def _fit_all(
         for each in kept
     ]
     sharpest = min(float(np.median(fit.error)) for fit in fits) / MEDIAN_DISTANCE
-    costs = [robust_costs(fit.error, sharpest) for fit in fits]
+    costs = [_costs(fit, sharpest) for fit in fits]
     fitted = []
     for each, fit, cost in zip(kept, fits, costs, strict=True):
-        own = seen[each.name]
-        gain = Gain.of(costs[0] - cost, own, (POSE + len(each.free), POSE))
-        fitted.append(FittedHypothesis(each, own, source, fit, gain))
+        own, gain = seen[each.name], costs[0] - cost
+        effective = effective_number(gain, (own.block, own.keypoint))
+        mean, spread = float(gain.mean()), float(gain.std())
+        fitted.append(FittedHypothesis(each, own, source, fit, mean, spread, effective))
     return fitted
 
 
@@ -307,6 +257,6 @@ def _starts(resection: Resection, points: Floats) -> tuple[CameraPose, CameraPos
     return found, CameraPose(opposite, translation)
 
 
-def robust_costs(error: Floats, noise: float) -> Floats:
-    """Return the robust costs `[N]` of errors, -log of a Cauchy density (without constants)."""
-    return np.asarray(np.log1p((error / (2 * noise)) ** 2))
+def _costs(fit: CameraFit, noise: float) -> Floats:
+    """Return the robust costs `[N]` of keypoints, -log of a Cauchy density (without constants)."""
+    return np.asarray(np.log1p((fit.error / (2 * noise)) ** 2))

@@ -106,7 +106,7 @@ def _find_changes(observed: Observed, rig: CameraRig, view: int, config: Config)
     epochs, evidence = find_epochs(
         CameraPoses(pose.rotation[None], pose.translation[None]),
         seen,
-        config,
+        config.moved,
         least_noise=config.triangulate.least_noise_px / sample.cameras[view].focal,
     )
     if not evidence:

@@ -15,6 +15,7 @@ from mocap_calib.adjust.camera_fit import CameraPoses
 from mocap_calib.adjust.resection import Sightings, costs_of, sightings_of
 from mocap_calib.config import DECISIVE_NATS, Config, MovedConfig
 from mocap_calib.faults.changes import (
+    _choose_number,
     change_at_a_glance,
     find_epochs,
     last_moments,
@@ -100,7 +101,7 @@ def test_a_change_is_found_to_the_frame_with_both_poses(degrees, metres):
     after = changed(before, degrees, metres)
     seen = sightings([before, after], [71])
     assert change_at_a_glance(before, seen, CONFIG) > 1
-    epochs, evidence = find_epochs(before, seen, Config(), **LEAST)
+    epochs, evidence = find_epochs(before, seen, CONFIG, **LEAST)
     assert len(epochs.starts) == 1
     assert evidence > 2 * DECISIVE_NATS
     assert last_moments(epochs.poses, seen, epochs.tolerance, CONFIG) == (70, 71)
@@ -108,10 +109,29 @@ def test_a_change_is_found_to_the_frame_with_both_poses(degrees, metres):
         assert np.degrees(angle_between(found, true.rotation[0])) < 0.5
 
 
+@pytest.mark.parametrize(
+    ("costs", "changes", "evidence"),
+    [
+        ([100.0, 99.9], 0, 0.0),
+        ([100.0, 40.0], 1, 750.0),
+        ([100.0, 40.0, 39.9], 1, 750.0 / 2.506),
+        ([100.0, 60.0, 40.0, 39.99], 2, 250.0),
+        ([100.0, 80.0, 64.0, 51.0, 41.0], 0, 0.0),
+    ],
+)
+def test_as_many_epochs_are_accepted_as_there_is_evidence_for(costs, changes, evidence):
+    """Of 1000 detections; the last drift: each change gains as much as the one before."""
+    found, nats = _choose_number(
+        ["none", "one", "two", "three", "four"], np.array(costs), 1000, CONFIG
+    )
+    assert found == ["none", "one", "two"][changes]
+    assert nats == pytest.approx(evidence, rel=1e-2)
+
+
 def test_two_changes_are_found_and_the_way_back_counts():
     first = pose_of(scene(frames=FRAMES, people=2).rig, 1)
     seen = sightings([first, changed(first, 5.0, 0.0), first], [40, 90])
-    epochs, _ = find_epochs(first, seen, Config(), **LEAST)
+    epochs, _ = find_epochs(first, seen, CONFIG, **LEAST)
     assert seen.frame[epochs.starts].tolist() == [40, 90]
 
 
@@ -119,7 +139,7 @@ def test_two_changes_are_found_and_the_way_back_counts():
 def test_errors_that_drift_with_the_subject_are_no_change(scale):
     """A wrong focal length makes errors that follow where people walk."""
     pose = pose_of(scene(frames=FRAMES, people=2).rig, 1)
-    epochs, evidence = find_epochs(pose, sightings([pose], [], scale), Config(), **LEAST)
+    epochs, evidence = find_epochs(pose, sightings([pose], [], scale), CONFIG, **LEAST)
     assert evidence == 0
     assert len(epochs.starts) == 0
 
