@@ -307,14 +307,16 @@ def _choose_number(
 
     A change that lowers the cost of n detections by a share g has n g / 2 nats (a profile
     likelihood), divided by what one more change would seem to have: errors that drift with the
-    subject are no independent errors, and they fall bit by bit.
+    subject are no independent errors, and they fall bit by bit. Epochs begin in one of as many
+    places as there is room for, each as likely beforehand.
 
     costs: `[change]` of each, of so many detections.
     """
     gains = np.maximum(costs[:-1] / np.maximum(costs[1:], 1e-12) - 1, 0.0) * detections
     for changes in range(min(len(gains), config.most_changes), 0, -1):
         further = max(1.0, float(gains[changes:].max(initial=0.0)))
-        evidence = min(float(gains[:changes].min()), float(gains[changes - 1]) / further) / 2
+        gain = min(float(gains[:changes].min()), float(gains[changes - 1]) / further)
+        evidence = gain / 2 + float(np.log(config.least_share))
         if evidence >= DECISIVE_NATS:
             return found[changes], evidence
     return found[0], 0.0
