@@ -296,7 +296,9 @@ def _has_cameras(group: GroupResult, cue: ScaleCue) -> bool:
 
 def move_rig(rig: CameraRig, by: Similarity, unit: str, world: World) -> CameraRig:
     """Return a rig in other coordinates, whose unit and world are said."""
-    rotation = nearest_rotation(rig.rotation @ by.rotation.T)  # a file holds it to the last digit
+    rotation = rig.rotation @ by.rotation.T
+    if not np.array_equal(rotation, rig.rotation):
+        rotation = nearest_rotation(rotation)  # a file holds it to the last digit
     translation = by.scale * rig.translation - rotation @ by.shift
     return replace(rig, rotation=rotation, translation=translation, unit=unit, world=world)
 
