@@ -270,7 +270,7 @@ METHODS: dict[str, Method] = {
     "paper-factorised-full": paper("factorised", PaperConfig(geometric_loss=full_geometric_loss)),
     "paper-factorised-nogeom": paper("factorised", PaperConfig(geometric_weight=0.0)),
     "ours": ours(PairwiseConfig()),
-    "ours-norays": ours(replace(PairwiseConfig(), points=0)),
+    "ours-norays": ours(replace(PairwiseConfig(), loss_widths=())),
     # these are told who is who (`Problem.identities`), which nobody tells the others
     "procrustes-informed": rival(procrustes, adjusted=False, informed=True),
     "procrustes-adjusted-informed": rival(procrustes, adjusted=True, informed=True),

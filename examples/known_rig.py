@@ -21,7 +21,7 @@ def main(cameras: str, keypoints: str, out: Path) -> None:
     rig = rig.select(session.names)  # the cameras that have keypoints, in their order
 
     check = mc.verify(session, rig)
-    print(check)
+    print(f"Verification: {check.verdict}")
     if not check.passes:
         print("calibrate again, or take check.rig:", *check.reasons, sep="\n  ")
 
