@@ -81,9 +81,10 @@ CASES = {
         faults=faults("clock", "cam3"),
         damage=partial(files.delay, camera="cam3", frames=5),
     ),
+    # 80 frames hold 2.96 nats for the clock, 3 are asked for: the camera is *inconsistent* there
     "a late camera of one person": Case(
-        PERSON,
-        0.666,
+        ("--cameras", 4, "--people", 1, "--frames", 120, "--seed", 3),
+        0.154,
         faults=faults("clock", "cam3"),
         damage=partial(files.delay, camera="cam3", frames=5),
     ),
