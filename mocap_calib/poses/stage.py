@@ -302,8 +302,7 @@ def choose_strengths(
         tried = [replace(chosen, **{name: value}) for value in values]
         best = min(map(loss, tried), key=np.mean)
         more = ((each, loss(each) - best) for each in tried)
-        good = (each for each, lost in more if lost.mean() <= error_of_mean(lost, run))
-        return next(good, tried[0])  # none where a rig is so wrong that nothing can be fitted
+        return next(each for each, lost in more if lost.mean() <= error_of_mean(lost, run))
 
     if moves and body.steps.any() and np.isfinite(chosen.acceleration):
         chosen = weakest("acceleration", (np.inf, *config.accelerations))

@@ -68,6 +68,13 @@ def test_covariances_are_the_blocks_of_the_dense_inverse(joints, frames, strengt
     assert (np.abs(found - expected) <= 1e-5 * trace).all()  # an unseen point: 1.2e-6
 
 
+def test_joints_may_coincide_in_the_last_frame():
+    """Frames beyond it, which fill a tile, repeat it."""
+    points, seen, body = track(5, 18)
+    points[1, -1] = points[0, -1]
+    assert np.isfinite(fit.fit(points, seen, body, STRENGTHS[0], CONFIG, steps=4)).all()
+
+
 def test_errors_are_the_squared_tangents_of_angles():
     points, seen, _ = track(5, 61)
     points[2, 7] = seen.centres[1] - seen.rays[:, 1, 2, 7]  # behind a camera
