@@ -177,7 +177,8 @@ def find_clocks(
     given = {pair: rotations[pair] for pair in compared if pair in rotations}
     if given:
         agreements = Agreements.of(len(views), _compare(views, given), window)
-        cameras = _cameras(recording.names, numbers, agreements, find_timing(agreements))
+        as_calibrated = find_timing(agreements)
+        cameras = _cameras(recording.names, numbers, agreements, as_calibrated)
         if all(camera.kind == "in step" for camera in cameras):
             return cameras
     generators = np.random.default_rng(seed).spawn(len(compared))
@@ -185,10 +186,12 @@ def find_clocks(
         lambda job: search_rotation(views[job[0][0]], views[job[0][1]], 2 * window, job[1]),
         zip(compared, generators, strict=True),
     )
-    values, timing = _solve(views, dict(zip(compared, searched, strict=True)), window)
+    found = dict(zip(compared, searched, strict=True))
+    timing = find_timing(Agreements.of(len(views), _compare(views, found), window))
+    values, timing = _align(views, found, timing, window)
     if given:
         # bodies of a gait also match half a cycle apart, under rotations that are turned by 180 deg
-        near = _solve(views, given, window)
+        near = _align(views, given, as_calibrated, window)
         gain = _along_maps(values, timing, given) - _along_maps(*near, given)
         if evidence(gain, np.isfinite(gain)) < DECISIVE_NATS:
             values, timing = near
@@ -201,11 +204,10 @@ def _compare(views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats]) -> d
     return {(a, b): agreement(views[a], views[b], turn) for (a, b), turn in rotations.items()}
 
 
-def _solve(
-    views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats], window: int
+def _align(
+    views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats], timing: Timing, window: int
 ) -> tuple[dict[Pair, Singles], Timing]:
-    """Return the agreement of pairs and the maps, with the rotations aligned at first maps."""
-    timing = find_timing(Agreements.of(len(views), _compare(views, rotations), window))
+    """Return the agreement of pairs and the maps, with the rotations aligned at a first timing."""
     aligned = {
         (a, b): align_at(views[a], views[b], turn, timing.maps[a], timing.maps[b])
         for (a, b), turn in rotations.items()
