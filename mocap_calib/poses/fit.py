@@ -203,9 +203,10 @@ def _pack_bones(body: Body, strengths: Strengths) -> tuple[Ints, Floats]:
     lengths, varies = body.lengths[: len(edges)], body.varies[: len(edges)]
     known = np.isfinite(lengths)
     sigma = np.hypot(strengths.bones * body.size, np.where(known, varies, 0.0))
-    unset = np.zeros(lengths.shape)
-    found = _in_tiles(np.stack([np.where(known, lengths, 0.0), known / sigma, unset], axis=1))
-    found[:, :, 2] = 1e-9 * body.size.min()  # beyond the frames too: joints may coincide there
+    found = _in_tiles(np.stack([np.where(known, lengths, 0.0), known / sigma], axis=1))
+    # beyond the frames too: joints may coincide there
+    shortest = np.full_like(found[:, :, :1], 1e-9 * body.size.min())
+    found = np.concatenate([found, shortest], axis=2)
     return np.ascontiguousarray(edges), found.reshape(len(found), len(edges), 3 * LANES)
 
 
