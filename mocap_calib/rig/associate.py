@@ -26,7 +26,6 @@ from mocap_calib.types import CameraRig, Floats, Ints, Progress, Recording, Samp
 # pairs of detections grouped at a time, and in the frames that the likelihood ratio is measured on.
 # They stay in the cache, and make blocks enough for several threads
 _PAIRS = 200_000
-_SIDE_BY_SIDE = 4  # frames at least: the kernel compares several for little more than one
 _NEWTON_STEPS = 8  # of the logistic regression
 
 
@@ -286,5 +285,5 @@ def _cut_into_blocks(frames: Ints, detections: int) -> list[Ints]:
 
     detections: in each frame, at most.
     """
-    size = max(_PAIRS // detections**2, _SIDE_BY_SIDE)
+    size = max(_PAIRS // detections**2, 1)
     return [frames[start : start + size] for start in range(0, len(frames), size)]
