@@ -35,7 +35,7 @@ _REFINED = 8  # poses that are refined, of those that single detections ask for
 _FITS = 0.5  # cost below which a detection may show a body
 _CLEARLY = 0.5  # of the other cost: one of two readings is clearly better
 _LEAST_COMPARED = 3  # joints of a detection and a body that are compared: six of two give eleven
-PINHOLE = Camera("", (0, 0), np.eye(3))  # whose pixels are focal lengths
+_PINHOLE = Camera("", (0, 0), np.eye(3))  # whose pixels are focal lengths
 _ROUND = CameraFitConfig(loss_scales=(1.0,), steps=5)  # of one tolerance
 
 
@@ -182,7 +182,7 @@ def refine_poses(
     for tolerance in tolerances:
         bodies = compare_poses(poses, seen, tolerance, least_joints).body
         moved = [
-            fit_camera(PINHOLE, seen.known_points(body, own), pose, _ROUND, noise=tolerance).pose
+            fit_camera(_PINHOLE, seen.known_points(body, own), pose, _ROUND, noise=tolerance).pose
             for pose, body, own in zip(poses.each(), bodies, counted, strict=True)
         ]
         poses = CameraPoses(
@@ -212,7 +212,7 @@ def linearise(
     one = CameraPoses(pose.rotation[None], pose.translation[None])
     body = compare_poses(one, seen, tolerance, least_joints).body[0]
     known = seen.known_points(body, np.ones(len(body), dtype=bool))
-    found = linearise_camera(PINHOLE, known, Unknowns(pose, np.zeros(0)), ())
+    found = linearise_camera(_PINHOLE, known, Unknowns(pose, np.zeros(0)), ())
     _, weight = cauchy_loss(found.residual, tolerance)
     rows = np.concatenate([found.jacobian, found.residual[None]])
     total = np.zeros((len(body), POSE + 1, POSE + 1))
