@@ -307,8 +307,9 @@ def _choose_number(
 
     A change that lowers the cost of n detections by a share g has n g / 2 nats (a profile
     likelihood), divided by what one more change would seem to have: errors that drift with the
-    subject are no independent errors, and they fall bit by bit. Epochs begin in one of as many
-    places as there is room for, each as likely beforehand.
+    subject are no independent errors, and they fall bit by bit. Each change pays for the choice of
+    its moment: epochs have at least `least_share` of the detections, so 1 / `least_share` moments
+    are possible, each as likely beforehand.
 
     costs: `[change]` of each, of so many detections.
     """

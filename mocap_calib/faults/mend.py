@@ -167,8 +167,8 @@ def _sides_of_others(
     """Return the faults of the others where cameras that differ from them had their sides right.
 
     Geometry shows only that these differ from those. But no body bends its knees backwards: the
-    lifting network is less certain of detections whose sides are exchanged. Of more than two
-    others for each the others are right.
+    lifting network is less certain of detections whose sides are exchanged. Where the others are
+    more than twice as many, they are taken to be right.
 
     observed, corrected: what was known with the sides of the cameras as they are, and exchanged.
     """

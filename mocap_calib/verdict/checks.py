@@ -1,10 +1,10 @@
 """Checks of a rig that are independent of its covariance: how each is measured, and one table.
 
 A covariance knows what chance does to a rig under a model that is right. Whether the model is right
-(one clock, these lenses, cameras that do not move, right identities) shows in the
-residuals. Each check is the rotation error in degrees that a discrepancy means: an angle where the
-discrepancy is one, else `OPEN_DEG` times the share of the evidence that contradicts the rig. So no
-check needs a limit of its own.
+(one clock, these lenses, cameras that do not move, right identities) shows in the residuals. Each
+check is the rotation error in degrees that a discrepancy means: an angle where the discrepancy is
+one, else `OPEN_DEG` times the share of the evidence that contradicts the rig. So no check needs a
+limit of its own.
 """
 
 from collections.abc import Callable
