@@ -284,9 +284,7 @@ def place_points(sample: Sample, placed: PlacedCameras, views: Ints, config: Con
     return KnownPoints(points.T, np.moveaxis(seen.pixels, 1, 2))
 
 
-def median_reprojection_error(
-    known: KnownPoints, rig: CameraRig, view: int, config: Config
-) -> float:
+def median_error(known: KnownPoints, rig: CameraRig, view: int, config: Config) -> float:
     """Return the median reprojection error of a view in pixels, NaN where it saw nothing."""
     points, pixels = known.seen_by(view, config.diagnosis.keypoints)
     if not len(points):

@@ -12,12 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import (
-    CameraPose,
-    KnownPoints,
-    median_reprojection_error,
-    place_points,
-)
+from mocap_calib.adjust.camera_fit import CameraPose, KnownPoints, median_error, place_points
 from mocap_calib.adjust.covariance import cautious_covariances, covariance_of, fit_again
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.resection import find_lost_camera
@@ -237,9 +232,7 @@ def _refit(sample: Sample, placed: PlacedCameras, change: RigChange, config: Con
         here = CameraPose(given.rotation[view], given.translation[view])
         elsewhere = _with_camera(rig, view, given.cameras[view], there)
         zoomed = _with_camera(rig, view, _zoomed(known, given, view, config), here)
-        error, other = (
-            median_reprojection_error(known, each, view, config) for each in (elsewhere, zoomed)
-        )
+        error, other = (median_error(known, each, view, config) for each in (elsewhere, zoomed))
         rig = zoomed if other <= config.uncertainty.same_misfit * error else elsewhere
     return rig
 
@@ -294,8 +287,8 @@ def _compare(
             shift_sigma=float(shift_sigma * size),
             relative_shift=float(shift),
             focal_change=focal,
-            error_px=median_reprojection_error(known, given, view, config),
-            refitted_px=median_reprojection_error(known, refitted, view, config),
+            error_px=median_error(known, given, view, config),
+            refitted_px=median_error(known, refitted, view, config),
         )
         cameras.append(camera)
     return cameras
