@@ -19,6 +19,7 @@ from mocap_calib.config import LEAST_JOINTS, MatchingConfig
 from mocap_calib.geometry.graphs import connected_parts, spanning_tree
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.associate import LogRatio, measure_log_ratio
+from mocap_calib.rig.tracks import replace_labels
 from mocap_calib.types import Bools, Floats, Ints
 
 SAMPLE = 2000  # groups that scales and spreads are measured on
@@ -46,22 +47,14 @@ class Pieces:
     nearest: Bools
     step: float
 
-    @property
-    def count(self) -> int:
-        """How many pieces there are."""
-        return len(self.first)
-
     def join(self, individual: Ints) -> "Pieces":
-        """Return the individuals `[piece]` as pieces, which may have gaps; -1 = nobody."""
-        there = np.flatnonzero(individual >= 0)
-        _, first = np.unique(individual[there], return_index=True)
-        latest = there[np.lexsort((self.last[there, 0], individual[there]))]
-        last = np.flatnonzero(np.diff(individual[latest], append=-1))
+        """Return the individuals `[piece]` as pieces, which may have gaps."""
+        latest = np.lexsort((self.last[:, 0], individual))
         return replace(
             self,
-            number=np.append(individual, -1)[self.number],
-            first=self.first[there[first]],
-            last=self.last[latest[last]],
+            number=replace_labels(self.number, individual),
+            first=self.first[np.unique(individual, return_index=True)[1]],
+            last=self.last[latest[np.diff(individual[latest], append=-1) != 0]],
         )
 
     @property
@@ -196,62 +189,58 @@ def _number_pieces(links: Bools, present: Bools, distance: Floats) -> Pieces:
 class BoneLengths:
     """The bones of pieces or of individuals: logarithms of lengths, which a log-normal describes.
 
-    mean: `[body, bone]`; precision: `[body, bone]` 1 / variance of the mean, 0 = never seen.
-    apart: `[bone]` variance between individuals. ratio: of their log-likelihood ratio that bodies
-    are one, what it proves; None where that is not known.
+    precision: `[body, bone]` 1 / variance of the mean, 0 = never seen. total: `[body, bone]` the
+    mean times this. apart: `[bone]` variance between individuals. ratio: of their log-likelihood
+    ratio that bodies are one, what it proves; None where that is not known.
     """
 
-    mean: Floats
+    total: Floats
     precision: Floats
     apart: Floats
     ratio: LogRatio | None = None
 
-    def copy(self) -> "BoneLengths":
-        """Return the same bodies, of which nothing is changed with these."""
-        return BoneLengths(self.mean.copy(), self.precision.copy(), self.apart, self.ratio)
+    def select(self, bodies: Ints) -> "BoneLengths":
+        """Return a copy of these bodies (indices) alone."""
+        return replace(self, total=self.total[bodies], precision=self.precision[bodies])
 
-    def select(self, among: Ints) -> "BoneLengths":
-        """Return these bodies alone."""
-        return BoneLengths(self.mean[among], self.precision[among], self.apart, self.ratio)
-
-    def join_all(self, individual: Ints) -> "BoneLengths":
-        """Return the bodies of individuals `[piece]`, -1 = unassigned."""
-        there = individual >= 0
+    def join(self, individual: Ints) -> "BoneLengths":
+        """Return the bodies of individuals, `[body]`."""
         precision = np.zeros((int(individual.max(initial=-1)) + 1, len(self.apart)))
         total = precision.copy()
-        np.add.at(precision, individual[there], self.precision[there])
-        np.add.at(total, individual[there], (self.precision * self.mean)[there])
-        mean = total / np.maximum(precision, np.finfo(float).tiny)
-        return BoneLengths(mean, precision, self.apart, self.ratio)
+        np.add.at(precision, individual, self.precision)
+        np.add.at(total, individual, self.total)
+        return replace(self, total=total, precision=precision)
 
-    def join(self, kept: int, merged: int) -> None:
-        """Make `kept` the body that both are, in place."""
-        precision = self.precision[[kept, merged]]
-        total = precision.sum(0)
-        weighted = (precision * self.mean[[kept, merged]]).sum(0)
-        self.mean[kept] = weighted / np.maximum(total, np.finfo(float).tiny)
-        self.precision[kept] = total
+    @property
+    def mean(self) -> Floats:
+        """`[body, bone]`, 0 = never seen."""
+        return self.total / np.maximum(self.precision, np.finfo(float).tiny)
 
     def evidence(self, body: int) -> Floats:
         """Return `[body]` the evidence in nats that each is the same as this one, 0 = none."""
         if self.ratio is None:
-            return np.zeros(len(self.mean))
-        likeness = self.likeness(np.arange(len(self.mean)), body)
+            return np.zeros(len(self.total))
+        likeness = self.likeness(np.arange(len(self.total)), np.array([body]))
         return np.where(np.isfinite(likeness), self.ratio(likeness[:, None]), 0.0)
 
-    def likeness(self, first: Ints, second: Ints | int) -> Floats:
+    def likeness(self, first: Ints, second: Ints) -> Floats:
         """Return `[pair]` log-likelihood ratios that two bodies are one, NaN without common bones.
 
         Of Student's t with three degrees of freedom, and of bones as if they were independent.
         """
-        precision = self.precision[first], self.precision[second]
-        known = (precision[0] > 0) & (precision[1] > 0)
-        same = sum(1 / np.where(known, each, 1.0) for each in precision)
+        square, same = _compare(self, first, second)
         other = same + 2 * self.apart
-        square = (self.mean[first] - self.mean[second]) ** 2
         nats = 0.5 * np.log(other / same)
         nats += 2 * (np.log1p(square / (3 * other)) - np.log1p(square / (3 * same)))
-        return np.where(known.any(-1), np.where(known, nats, 0.0).sum(-1), np.nan)
+        return np.where(np.isfinite(square).any(-1), np.nansum(nats, axis=-1), np.nan)
+
+
+def _compare(bodies: BoneLengths, first: Ints, second: Ints) -> tuple[Floats, Floats]:
+    """Return squared differences of bones and their variances, `[pair, bone]`, NaN = not known."""
+    precision = bodies.precision[first], bodies.precision[second]
+    known = (precision[0] > 0) & (precision[1] > 0)
+    square = np.where(known, (bodies.mean[first] - bodies.mean[second]) ** 2, np.nan)
+    return square, np.asarray(sum(1 / np.where(known, each, np.nan) for each in precision))
 
 
 def measure_bones(points: Floats, pieces: Pieces, longest: int) -> BoneLengths:
@@ -266,7 +255,7 @@ def measure_bones(points: Floats, pieces: Pieces, longest: int) -> BoneLengths:
     middle = (pieces.first[:, 0] + pieces.last[:, 0] + 1) // 2
     half = 2 * piece + (frame >= middle[piece])
     lengths = _log_lengths(points, bones, frame, group)
-    mean = np.full((2 * pieces.count, len(bones)), np.nan)
+    mean = np.full((2 * len(pieces.first), len(bones)), np.nan)
     order = np.argsort(half, kind="stable")
     for part in np.split(order, np.flatnonzero(np.diff(half[order])) + 1):
         if len(part):
@@ -274,19 +263,22 @@ def measure_bones(points: Floats, pieces: Pieces, longest: int) -> BoneLengths:
     residual = np.abs(lengths - mean[half])
     some = evenly_spaced(np.arange(len(residual)), SAMPLE)
     spread = np.fmax(spread, _NORMAL * _medians(residual[some]) + _LEAST_SPREAD)
-    own, other = _halves(pieces, longest)
     # a body errs in each pose, and neighbouring frames err together: a half, or a piece, is as
     # certain as one frame and one pose
-    precision = 1 / (2 * spread**2)
-    halves = BoneLengths(np.nan_to_num(mean), np.isfinite(mean) * precision, np.zeros(len(bones)))
-    whole = halves.join_all(np.arange(2 * pieces.count) // 2)
-    whole = replace(whole, precision=np.minimum(whole.precision, precision))
-    apart = _variance_apart(whole, other // 2)
-    halves = replace(halves, apart=apart)
-    pairs = np.concatenate([own, other])
-    one = (np.arange(len(pairs)) < len(own)).astype(np.float64)
-    ratio = measure_log_ratio(halves.likeness(*pairs.T)[:, None], one, 1 - one)
-    return replace(whole, apart=apart, ratio=ratio)
+    precision = np.isfinite(mean) / (2 * spread**2)
+    halves = BoneLengths(np.nan_to_num(mean) * precision, precision, np.zeros(len(bones)))
+    whole = halves.join(np.arange(len(mean)) // 2)
+    certain = np.minimum(whole.precision, 1 / (2 * spread**2))
+    whole = replace(whole, total=whole.mean * certain, precision=certain)
+    own, other = _halves(pieces, longest)
+    square, variance = _compare(whole, *(other // 2).T)
+    apart = 0.5 * (_NORMAL**2 * _medians(square) - _medians(variance))
+    halves = replace(halves, apart=np.maximum(np.nan_to_num(apart), 0.0))
+    one = (np.arange(len(own) + len(other)) < len(own)).astype(np.float64)
+    likeness = halves.likeness(*np.concatenate([own, other]).T)
+    return replace(
+        whole, apart=halves.apart, ratio=measure_log_ratio(likeness[:, None], one, 1 - one)
+    )
 
 
 def _halves(pieces: Pieces, count: int) -> tuple[Ints, Ints]:
@@ -301,16 +293,6 @@ def _halves(pieces: Pieces, count: int) -> tuple[Ints, Ints]:
     i, j = (2 * longest[index] for index in np.nonzero(np.triu(together, 1)))
     two = [np.stack([i + a, j + b], axis=-1) for a in (0, 1) for b in (0, 1)]
     return np.stack([own, own + 1], axis=-1), np.concatenate(two)
-
-
-def _variance_apart(bodies: BoneLengths, pairs: Ints) -> Floats:
-    """Return the variance of each bone `[bone]` between pairs of bodies that are two."""
-    i, j = pairs.T
-    known = (bodies.precision[i] > 0) & (bodies.precision[j] > 0)
-    own = sum(1 / np.where(known, bodies.precision[k], 1.0) for k in (i, j))
-    square = np.where(known, (bodies.mean[i] - bodies.mean[j]) ** 2, np.nan)
-    excess = 0.5 * (_NORMAL**2 * _medians(square) - _medians(np.where(known, own, np.nan)))
-    return np.asarray(np.maximum(np.nan_to_num(excess), 0.0))
 
 
 def _find_bones(points: Floats, pieces: Pieces) -> tuple[Ints, Floats]:

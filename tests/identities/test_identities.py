@@ -8,8 +8,8 @@ from scenes import PEOPLE, scene
 
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.geometry.lens import project_views
+from mocap_calib.identities import finalise_identities, join_pieces, motion_evidence
 from mocap_calib.identities.pieces import BoneLengths, cut_into_pieces, measure_bones
-from mocap_calib.identities.track import finalise_identities, join_pieces, motion_evidence
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import Matches
 

@@ -14,20 +14,11 @@ from mocap_calib.clocks.maps import along_map
 from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.identities.track import _pieces_between
 from mocap_calib.results import Matches
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.tracks import matched_share
 from mocap_calib.types import Camera, EstimatedCamera
 from mocap_calib.verdict.verdict import _left_open
-
-
-def test_pieces_between_others_are_those_that_begin_and_end_there():
-    """Four pieces in a row; the second column is of something else."""
-    first = np.array([[0, 9], [5, 0], [12, 3], [20, 1]])
-    last = np.array([[4, 7], [10, 0], [18, 2], [30, 5]])
-    pairs = np.array([0, 0, 1, 0]), np.array([2, 3, 3, 1])
-    assert _pieces_between(first, last, pairs).tolist() == [1, 2, 1, 0]
 
 
 @pytest.mark.parametrize(("estimated", "given", "unchecked"), [(2, 0, 1), (1, 1, 0), (3, 0, 0)])

@@ -41,7 +41,7 @@ def command(
     """
     from mocap_calib.adjust.refine import adjust_until_stable
     from mocap_calib.config import Config
-    from mocap_calib.identities.track import finalise_identities
+    from mocap_calib.identities import finalise_identities
     from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.rig.associate import label_all_frames
     from mocap_calib.verdict.verdict import conclude_without_pairs
