@@ -104,11 +104,26 @@ def _lift_views(rays: Floats, view: Ints, lifter: Lifter, progress: Progress) ->
 
     rays: `[B, joint, 3]`; view: `[B]` in which each detection is.
     """
+    bodies = _lift_blocks(rays, np.tile(_DOWN[0], (len(rays), 1)), lifter, progress)
     views = np.unique(view)
-    samples = [rays[evenly_spaced(np.flatnonzero(view == each), _BLOCK)] for each in views]
-    lifted = map_in_threads(lambda each: _lift_rays(*each, lifter), product(samples, _DOWN))
-    doubt = np.reshape([np.median(found.spread) for found in lifted], (len(views), len(_DOWN)))
-    down = _DOWN[doubt.argmin(1)[np.searchsorted(views, view)]]
+    samples = [evenly_spaced(np.flatnonzero(view == each), _BLOCK) for each in views]
+    tried = map_in_threads(
+        lambda each: np.median(_lift_rays(rays[each[0]], each[1], lifter).spread),
+        product(samples, _DOWN[1:]),
+    )
+    doubt = np.empty((len(views), len(_DOWN)))
+    doubt[:, 0] = [np.median(bodies.spread[sample]) for sample in samples]
+    doubt[:, 1:] = np.reshape(list(tried), doubt[:, 1:].shape)
+    best = doubt.argmin(1)[np.searchsorted(views, view)]
+    turned = best > 0  # of few recordings
+    again = _lift_blocks(rays[turned], _DOWN[best[turned]], lifter, progress)
+    for values, found in zip(bodies, again, strict=True):
+        values[turned] = found
+    return bodies
+
+
+def _lift_blocks(rays: Floats, down: Floats, lifter: Lifter, progress: Progress) -> _Bodies:
+    """Return the lifted bodies of rays `[B, J, 3]`, whose directions `[B, 3]` are down."""
     blocks = [slice(start, start + _BLOCK) for start in range(0, len(rays), _BLOCK)]
     bodies = _Bodies(np.empty(rays.shape), np.empty((len(rays), 3)), np.empty(rays.shape[:2]))
     lifted = map_in_threads(lambda block: _lift_rays(rays[block], down[block], lifter), blocks)

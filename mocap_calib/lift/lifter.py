@@ -8,10 +8,11 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -26,6 +27,8 @@ from mocap_calib.types import Bools, Floats32, Recording, Skeleton
 LOG_DEVIATIONS = (-6.0, 3.0)  # the least and the largest that a network states
 _BLOCK = 32  # poses at a time: what they need stays in the cache of a core
 _EPSILON = np.float32(1e-5)  # of torch's LayerNorm
+# of attention, whose exponentials are finite in 32 bits; those of shipped networks are below 20
+_LARGEST_SCORE = 70.0
 
 AUTO = "auto"  # asks for the model that the recording was made for
 GEOMETRY_ALONE = "none"  # asks for no model: it knows no joint, and the geometry must do
@@ -40,6 +43,28 @@ class ModelConfig:
     width: int = 64
     layers: int = 4
     heads: int = ENCODER_HEADS
+
+
+class _Linear(NamedTuple):
+    """x -> x @ matrix `[input, output]` + bias `[output]`."""
+
+    matrix: Floats32
+    bias: Floats32
+
+    def __call__(self, values: Floats32) -> Floats32:
+        """Return `[..., output]` of values `[..., input]`."""
+        result: Floats32 = values @ self.matrix
+        result += self.bias
+        return result
+
+
+class _Layer(NamedTuple):
+    """A layer of the encoder; `attend` and `widen` take standardised tokens."""
+
+    attend: _Linear  # to queries, keys and values
+    project: _Linear
+    widen: _Linear
+    narrow: _Linear
 
 
 @dataclass(frozen=True, eq=False)  # its weights are many: a lifter is equal to itself alone
@@ -69,45 +94,66 @@ class Lifter:
 
     def _apply(self, known: Floats32, seen: Bools) -> Floats32:
         """Return the output `[B, J, 5]` of the head for poses `[B, J, 2]`, 0 where not seen."""
-        position = self._map(known, "position.weight", "position.bias")
+        position = self._linear("position.")(known)
         token = np.where(seen[..., None], position, self.weights["missing"]) + self.weights["joint"]
         token = token.reshape(-1, self.config.width)  # [B J, C]: numpy multiplies 2D arrays fastest
-        for number in range(self.config.layers):
-            layer = f"encoder.layers.{number}"
-            token += self._attend(self._norm(token, f"{layer}.norm1"), f"{layer}.self_attn")
-            wide = self._norm(token, f"{layer}.norm2") @ self.weights[f"{layer}.linear1.weight"].T
-            activate(wide, self.weights[f"{layer}.linear1.bias"])
-            token += self._map(wide, f"{layer}.linear2.weight", f"{layer}.linear2.bias")
-        out = self._map(self._norm(token, "encoder.norm"), "head.weight", "head.bias")
-        return out.reshape(*seen.shape, -1)
+        for layer in self._layers:
+            token += layer.project(self._attend(layer.attend(_standardise(token))))
+            wide = _standardise(token) @ layer.widen.matrix
+            activate(wide, layer.widen.bias)
+            token += layer.narrow(wide)
+        return self._head(_standardise(token)).reshape(*seen.shape, -1)
 
-    def _map(self, values: Floats32, weight: str, bias: str) -> Floats32:
-        """Return the linear map `[..., output]` of values `[..., input]` by weights of a name."""
-        result: Floats32 = values @ self.weights[weight].T
-        result += self.weights[bias]
-        return result
+    @cached_property
+    def _layers(self) -> tuple[_Layer, ...]:
+        """The layers of the encoder."""
+        names = [f"encoder.layers.{number}" for number in range(self.config.layers)]
+        return tuple(
+            _Layer(
+                attend=self._linear(f"{name}.self_attn.in_proj_", after=f"{name}.norm1"),
+                project=self._linear(f"{name}.self_attn.out_proj."),
+                widen=self._linear(f"{name}.linear1.", after=f"{name}.norm2"),
+                narrow=self._linear(f"{name}.linear2."),
+            )
+            for name in names
+        )
 
-    def _norm(self, token: Floats32, name: str) -> Floats32:
-        """Return the LayerNorm of tokens `[N, C]`."""
-        standard = token - token.mean(-1, keepdims=True)
-        variance = np.einsum("nc,nc->n", standard, standard) / np.float32(token.shape[-1])
-        standard /= np.sqrt(variance + _EPSILON)[:, None]
-        standard *= self.weights[f"{name}.weight"]
-        standard += self.weights[f"{name}.bias"]
-        return standard
+    @cached_property
+    def _head(self) -> _Linear:
+        """What makes the output of tokens."""
+        return self._linear("head.", after="encoder.norm")
 
-    def _attend(self, token: Floats32, name: str) -> Floats32:
-        """Return what each joint gathers from all joints of its pose, of tokens `[B J, C]`."""
+    def _linear(self, name: str, *, after: str = "") -> _Linear:
+        """Return a linear map by its name, with the gain and the offset of the norm before it."""
+        matrix, bias = self.weights[f"{name}weight"].T, self.weights[f"{name}bias"]
+        if after:
+            bias = bias + self.weights[f"{after}.bias"] @ matrix
+            matrix = self.weights[f"{after}.weight"][:, None] * matrix
+        return _Linear(np.ascontiguousarray(matrix), bias)
+
+    def _attend(self, heads: Floats32) -> Floats32:
+        """Return what each joint gathers from all joints of its pose, `[B J, C]`.
+
+        heads: `[B J, 3 C]` queries, keys and values of each joint.
+        """
         size = self.config
-        heads = self._map(token, f"{name}.in_proj_weight", f"{name}.in_proj_bias")
         heads = heads.reshape(-1, size.joints, 3, size.heads, size.width // size.heads)
         query, key, value = heads.transpose(2, 0, 3, 1, 4)  # [B, head, J, C / heads] each
         score = (query * np.float32(query.shape[-1] ** -0.5)) @ np.swapaxes(key, -1, -2)
-        score -= score.max(-1, keepdims=True)
+        if max(score.max(), -score.min()) > _LARGEST_SCORE:
+            score -= score.max(-1, keepdims=True)
         np.exp(score, out=score)  # [B, head, J, J]
-        gathered = score @ value / score.sum(-1, keepdims=True)
-        gathered = np.swapaxes(gathered, 1, 2).reshape(token.shape)
-        return self._map(gathered, f"{name}.out_proj.weight", f"{name}.out_proj.bias")
+        gathered = score @ value
+        gathered /= np.einsum("bhij->bhi", score)[..., None]
+        return np.swapaxes(gathered, 1, 2).reshape(-1, size.width)
+
+
+def _standardise(token: Floats32) -> Floats32:
+    """Return tokens `[N, C]` with mean 0 and variance 1: LayerNorm without gain and offset."""
+    standard = token - token.mean(-1, keepdims=True)
+    variance = np.einsum("nc,nc->n", standard, standard) / np.float32(token.shape[-1])
+    standard /= np.sqrt(variance + _EPSILON)[:, None]
+    return standard
 
 
 # --- files of weights
