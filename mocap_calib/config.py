@@ -272,20 +272,21 @@ class PosesConfig:
 
     smooth: "auto"; "bones" alone, nothing over time; "off": the triangulated points.
     losses: of angles between rays and points, in standard deviations, among which held-out
-        detections choose, the usual one first: only what is better by more than a standard error
-        replaces it. Chosen: the narrow one for most detectors, where it would cost projected
-        recordings 2 to 3 %; the wide one for normal errors (HumanEva -2.7 %, mice -1.3 %). Listed
-        first it was taken where errors are few, and MVOR's rose by 2 %. first_loss: how much
-        wider it is at the first step; half of that at each that follows.
+        detections choose, the usual one first. Chosen: the narrow one for most detectors, where it
+        would cost projected recordings 2 to 3 %; the wide one for normal errors (HumanEva -2.7 %,
+        mice -1.3 %). first_loss: how much wider it is at the first step; half of that at each that
+        follows.
     prior_loss: of accelerations and of bones: most are small, some large. Measured on ten
         recordings: with 3 errors change by +5 % of HumanEva, +2.5 % of two dogs, at most 1 % of the
         others.
     shared_acceleration: variance of the acceleration that a body's joints share, to that of theirs
         around it. Measured: 0.1 to 0.5 differ by at most 0.5 % (HumanEva 2 %).
-    accelerations, bones: standard deviations among which, and none, held-out detections choose,
-        the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second. Where points
+    accelerations: standard deviations among which, and none, held-out detections choose, the
+        largest first. Chosen: 0.2 to 0.006 of motions at 10 to 60 frames a second. Where points
         accelerate by more than the largest (0.01 to 0.1 in motions, 0.7 and more elsewhere), frames
         do not follow each other.
+    bones: standard deviation of lengths, beyond what they were measured to vary by. Twice of it
+        costs two dogs 9 %, and others up to 1 %.
     held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
     steps: of Gauss-Newton, twice as many to fit points as to choose strengths, and to fit points
         again without the detections that the first fit drops; and of conjugate gradients in each.
@@ -300,8 +301,8 @@ class PosesConfig:
     first_loss: float = 4.0
     prior_loss: float = 2.0
     shared_acceleration: float = 0.25
-    accelerations: tuple[float, ...] = tuple(0.4 / 2**k for k in range(11))
-    bones: tuple[float, ...] = (0.1, 0.05, 0.025, 0.012)
+    accelerations: tuple[float, ...] = tuple(0.2 / 2**k for k in range(6))
+    bones: float = 0.012
     held_out_frames: int = 200
     held_out_stretch: int = 50
     steps: int = 4

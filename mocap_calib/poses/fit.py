@@ -173,7 +173,7 @@ def _pack(
     usual = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
     expected = np.zeros((5, len(usual)))
     expected[0], expected[1] = usual, config.ridge / body.size**2
-    edges, bones = _pack_bones(body, strengths)
+    edges, bones = _pack_bones(body, strengths, len(usual))
     return _Packed(
         joints=len(points),
         rays=_pack_rays(seen),
@@ -194,7 +194,7 @@ def _pack_rays(seen: Detections) -> Floats:
     return found.reshape(*found.shape[:3], 4 * LANES)
 
 
-def _pack_bones(body: Body, strengths: Strengths) -> tuple[Ints, Floats]:
+def _pack_bones(body: Body, strengths: Strengths, frames: int) -> tuple[Ints, Floats]:
     """Return the edges in use `[edge, 2]`, and of these `[tile, edge, 3 * LANES]`.
 
     The lengths, their inverse standard deviations, and the shortest length to divide by.
@@ -203,9 +203,10 @@ def _pack_bones(body: Body, strengths: Strengths) -> tuple[Ints, Floats]:
     lengths, varies = body.lengths[: len(edges)], body.varies[: len(edges)]
     known = np.isfinite(lengths)
     sigma = np.hypot(strengths.bones * body.size, np.where(known, varies, 0.0))
-    found = _in_tiles(np.stack([np.where(known, lengths, 0.0), known / sigma], axis=1))
+    rows = np.stack([np.where(known, lengths, 0.0), known / sigma], axis=1)
+    found = _in_tiles(np.repeat(rows[..., None], frames, axis=2))
     # beyond the frames too: joints may coincide there
-    shortest = np.full_like(found[:, :, :1], 1e-9 * body.size.min())
+    shortest = np.full_like(found[:, :, :1], 1e-9 * body.size)
     found = np.concatenate([found, shortest], axis=2)
     return np.ascontiguousarray(edges), found.reshape(len(found), len(edges), 3 * LANES)
 

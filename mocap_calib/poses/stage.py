@@ -1,8 +1,9 @@
 """From triangulated points to best estimates of the poses, an individual and a block at a time."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -19,13 +20,11 @@ from mocap_calib.poses.track import (
     Detections,
     acceleration_steps,
     accelerations,
-    add_refused,
     arrays_to_fill,
     blocks,
     bone_lengths,
     detections_of,
     fill_gaps,
-    join,
     point_sources,
     with_gaps,
     with_second_neighbours,
@@ -37,6 +36,8 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recordin
 
 # of normal vectors in space, in standard deviations of a coordinate
 _MEDIAN_LENGTH = np.sqrt(chdtri(3, 0.5))
+
+Track = tuple[Floats, Detections, Body]  # points `[keypoint, frame, 3]` to start from, and the rest
 
 
 @dataclass(frozen=True)
@@ -56,17 +57,13 @@ class _Individual:
 
 @dataclass(frozen=True)
 class _Scene:
-    """What is known of a recording: see `smooth_poses`.
-
-    noise: `[view]` in radians. start: `[frame, individual, keypoint, 3]` to start from.
-    """
+    """What is known of a recording: see `smooth_poses`. noise: `[view]` in radians."""
 
     recording: Recording
     rig: CameraRig
     matches: Matches
     poses: Poses3D
     noise: Floats
-    start: Floats
     config: PosesConfig
 
     @cached_property
@@ -106,11 +103,8 @@ class _Scene:
         frames = with_gaps(there, self.times, self.config.longest_gap)
         return _Individual(index, frames, size, lengths, varies)
 
-    def track(self, who: _Individual, frames: Ints) -> tuple[Floats, Detections, Body]:
-        """Return points `[keypoint, frame, 3]` to start from, detections and body.
-
-        frames: `[frame]` indices.
-        """
+    def track(self, who: _Individual, frames: Ints) -> Track:
+        """Return what is known of an individual in frames (indices), from triangulated points."""
         own = Matches(np.where(self.matches.labels[:, frames] == who.index, 0, -1))
         recording = self.recording.select(frames=frames)
         seen = gather_tracks(recording, own, np.arange(len(frames)))
@@ -120,12 +114,12 @@ class _Scene:
         times = self.times[frames]
         body = Body(
             edges=self.edges,
-            lengths=np.repeat(who.lengths[:, None], len(frames), axis=1),
-            varies=np.repeat(who.varies[:, None], len(frames), axis=1),
-            size=np.full(len(frames), who.size),
+            lengths=who.lengths,
+            varies=who.varies,
+            size=who.size,
             steps=acceleration_steps(times, self.config.longest_gap + 1),
         )
-        points = fill_gaps(self.start[frames, who.index], times)
+        points = fill_gaps(self.poses.raw[frames, who.index], times)
         return np.ascontiguousarray(points.swapaxes(0, 1)), detections, body
 
 
@@ -151,23 +145,10 @@ def smooth_poses(
     if config.smooth == "off":
         return poses, Smoothing()
     noise = view_noise(recording, rig, matches, triangulate)
-    scene = _Scene(recording, rig, matches, poses, noise, poses.raw, config)
+    scene = _Scene(recording, rig, matches, poses, noise, config)
     if not scene.individuals:
         return poses, Smoothing()
-    return _fit_all(scene, triangulate, progress)
-
-
-def _fit_all(
-    scene: _Scene, triangulate: TriangulateConfig, progress: Progress
-) -> tuple[Poses3D, Smoothing]:
-    """Return the best estimates of all individuals of a scene, and how they were made."""
-    poses, config = scene.poses, scene.config
     strengths, held_out, without = _choose(scene)
-    if not np.isfinite(strengths.acceleration):
-        wider = replace(triangulate, outlier=2 * triangulate.outlier)
-        where = (scene.recording, scene.rig, scene.matches, poses.raw)
-        start = add_refused(*where, noise=scene.noise, config=wider)
-        scene = replace(scene, start=start)
     arrays = arrays_to_fill(poses, [who.index for who in scene.individuals])
     total = sum(len(who.frames) for who in scene.individuals)
     pieces = [(who, *block) for who in scene.individuals for block in blocks(who.frames, config)]
@@ -212,31 +193,22 @@ def smooth_group(group: GroupResult, config: Config, *, progress: Progress = sil
 
 
 def _choose(scene: _Scene) -> tuple[Strengths, float, float]:
-    """Return how strongly to smooth, from stretches of all individuals: see `choose_strengths`."""
-    config = scene.config
-    tracks = [scene.track(who, frames) for who, frames in _stretches(scene.individuals, config)]
-    points, seen, bodies = zip(*tracks, strict=True)
-    moves = config.smooth != "bones"
-    return choose_strengths(
-        np.concatenate(points, axis=1), join(seen), join(bodies), config, moves=moves
-    )
+    """Return how strongly to smooth, see `choose_strengths`, by stretches of frames.
 
-
-def _stretches(
-    individuals: list[_Individual], config: PosesConfig
-) -> Iterator[tuple[_Individual, Ints]]:
-    """Yield stretches of frames that are even over all individuals, as if these came in turn."""
-    ends = np.cumsum([len(who.frames) for who in individuals])
-    length = config.held_out_stretch
-    number = min(config.held_out_frames // length, -(-int(ends[-1]) // length))
-    spacing = ends[-1] / number
-    for k in range(number):
-        middle = int((k + 0.5) * spacing)
-        index = int(np.searchsorted(ends, middle, side="right"))
-        who = individuals[index]
-        place = middle - (int(ends[index]) - len(who.frames)) - length // 2
-        start = min(max(place, 0), max(len(who.frames) - length, 0))
-        yield who, who.frames[start : start + length]
+    These are even over the frames of all individuals, as if they came one after the other.
+    """
+    config, individuals = scene.config, scene.individuals
+    frames = np.concatenate([who.frames for who in individuals])
+    owner = np.repeat(np.arange(len(individuals)), [len(who.frames) for who in individuals])
+    number = config.held_out_frames // config.held_out_stretch
+    middles = ((np.arange(number) + 0.5) * len(frames) / number).astype(np.int64)
+    around = np.arange(config.held_out_stretch) - config.held_out_stretch // 2
+    places = np.unique(np.clip(middles[:, None] + around, 0, len(frames) - 1))
+    tracks = [
+        scene.track(individuals[each], frames[places[owner[places] == each]])
+        for each in np.unique(owner[places]).tolist()
+    ]
+    return choose_strengths(tracks, config, moves=config.smooth != "bones")
 
 
 def _estimate(
@@ -254,7 +226,7 @@ def _estimate(
     points = fit(points, seen, body, strengths, config, steps=config.steps)
     wide = replace(strengths, loss=config.losses[0])  # a narrow loss weighs all errors as outliers
     covariance = covariances(points, seen, body, wide, config)
-    met = np.isfinite(scene.start[frames, who.index, :, 0]).T
+    met = np.isfinite(scene.poses.raw[frames, who.index, :, 0]).T
     moves = np.isfinite(strengths.acceleration)
     source = point_sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)
     sigma = np.sqrt(covariance[..., (0, 3, 5)].sum(-1))
@@ -272,80 +244,67 @@ def _estimate(
 
 
 def choose_strengths(
-    points: Floats, seen: Detections, body: Body, config: PosesConfig, *, moves: bool
+    tracks: Sequence[Track], config: PosesConfig, *, moves: bool
 ) -> tuple[Strengths, float, float]:
     """Return the strengths that predict hidden detections best, and how well they do.
 
     That is the mean of log(1 + r^2 / 4), r the error of the hidden detections in standard
-    deviations, with smoothing and without; NaN where no detection was hidden.
+    deviations, with smoothing and without; NaN where no detection was hidden: where too few points
+    have three views to hide one, the strengths follow from the accelerations of the points.
 
-    Of each parameter in turn the weakest within a standard error of the best is taken:
-    accelerations, bones, loss, and accelerations again, more finely. Where too few points have
-    three views to hide one, the strengths follow from the accelerations of the points themselves.
-
-    points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
+    moves: whether accelerations may be smoothed.
     """
-    chosen = usual_strengths(points, seen, body, config, moves=moves)
-    hidden, run = _hide(seen, config)
-    if len(run) < 2 * config.held_out_stretch:
-        return chosen, np.nan, np.nan
-    shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
+    usual = usual_strengths(tracks, config, moves=moves)
+    hidden = [_hide(seen, config) for _, seen, _ in tracks]
+    if sum(map(np.count_nonzero, hidden)) < 2 * config.held_out_stretch:
+        return usual, np.nan, np.nan
 
-    @cache
-    def loss(strengths: Strengths) -> Floats:
-        """Return the loss `[N]` of each hidden detection."""
-        found = fit(points, shown, body, strengths, config, steps=config.steps)
-        return np.log1p(squared_errors(found, seen)[hidden] / 4)
+    shown = [
+        replace(seen, precision=np.where(away, 0.0, seen.precision))
+        for (_, seen, _), away in zip(tracks, hidden, strict=True)
+    ]
 
-    def weakest(name: str, values: Sequence[float]) -> Strengths:
-        """Return the strengths with the first value that predicts about as well as the best."""
-        tried = [replace(chosen, **{name: value}) for value in values]
-        best = min(map(loss, tried), key=np.mean)
-        more = ((each, loss(each) - best) for each in tried)
-        return next(each for each, lost in more if lost.mean() <= error_of_mean(lost, run))
+    def loss(strengths: Strengths) -> float:
+        """Return the mean loss of the hidden detections."""
+        errors = []
+        for (points, seen, body), rest, away in zip(tracks, shown, hidden, strict=True):
+            found = fit(points, rest, body, strengths, config, steps=config.steps)
+            errors.append(squared_errors(found, seen)[away])
+        return float(np.log1p(np.concatenate(errors) / 4).mean())
 
-    if moves and body.steps.any() and np.isfinite(chosen.acceleration):
-        chosen = weakest("acceleration", (np.inf, *config.accelerations))
-    if len(body.edges):
-        chosen = weakest("bones", (np.inf, *config.bones))
-    chosen = weakest("loss", config.losses)
-    chosen = weakest("acceleration", (chosen.acceleration * np.sqrt([4, 2, 1, 0.5])).tolist())
-    raw = loss(replace(chosen, acceleration=np.inf, bones=np.inf))
-    return chosen, float(loss(chosen).mean()), float(raw.mean())
-
-
-def error_of_mean(values: Floats, run: Ints) -> float:
-    """Return the standard error of the mean of values `[N]`, which are correlated in runs.
-
-    run: `[N]` the number of the run that each belongs to.
-    """
-    off = np.bincount(run, values - values.mean())
-    return float(np.sqrt((off**2).sum()) / len(values))
+    accelerations = config.accelerations if np.isfinite(usual.acceleration) else ()
+    tried = [
+        Strengths(acceleration, usual.bones, width)
+        for acceleration, width in product((np.inf, *accelerations), config.losses)
+    ]
+    losses = list(map(loss, tried))
+    best = tried[int(np.argmin(losses))]
+    return best, min(losses), loss(replace(best, acceleration=np.inf, bones=np.inf))
 
 
-def usual_strengths(
-    points: Floats, seen: Detections, body: Body, config: PosesConfig, *, moves: bool
-) -> Strengths:
+def usual_strengths(tracks: Sequence[Track], config: PosesConfig, *, moves: bool) -> Strengths:
     """Return strengths without held-out detections: weak ones.
 
     Accelerations are allowed that are as large as those of the points, noise included; where even
     these are too large for one motion, frames do not follow each other.
     """
-    acceleration = accelerations(points, body)
-    ends = acceleration.shape[1]
-    size = np.sqrt((acceleration**2).sum(-1)) / body.size[:ends]
-    there = (seen.precision > 0).sum(0) >= 2
-    counted = np.all([there[:, k : k + ends] for k in range(3)], axis=0)
-    counted &= body.steps[0, :ends] != 0
-    sigma = float(np.median(size[counted])) / _MEDIAN_LENGTH if counted.any() else np.inf
-    follow = moves and sigma < config.accelerations[0]
-    allowed = sigma if follow else np.inf
-    bones = config.bones[1] if len(body.edges) else np.inf
+    sizes = [np.zeros(0)]
+    for points, seen, body in tracks:
+        acceleration = accelerations(points, body)
+        ends = acceleration.shape[1]
+        there = (seen.precision > 0).sum(0) >= 2
+        counted = np.all([there[:, k : k + ends] for k in range(3)], axis=0)
+        counted &= body.steps[0, :ends] != 0
+        sizes.append(np.linalg.norm(acceleration[counted], axis=-1) / body.size)
+    found = np.concatenate(sizes)
+    sigma = float(np.median(found)) / _MEDIAN_LENGTH if len(found) else np.inf
+    allowed = sigma if moves and sigma < config.accelerations[0] else np.inf
+    bones = config.bones if tracks[0][2].edges.size else np.inf
     return Strengths(max(allowed, config.accelerations[-1]), bones, config.losses[0])
 
 
-def _hide(seen: Detections, config: PosesConfig) -> tuple[Bools, Ints]:
-    """Return which detections `[view, keypoint, frame]` are hidden, and the run `[N]` of each.
+def _hide(seen: Detections, config: PosesConfig) -> Bools:
+    """Return which detections `[view, keypoint, frame]` are hidden.
 
     Of every point that three views or more detect, one view is hidden: two of each point stay. A
     joint is hidden from a view for runs of half a stretch, as errors are correlated in time: with 5
@@ -357,9 +316,7 @@ def _hide(seen: Detections, config: PosesConfig) -> tuple[Bools, Ints]:
     length = max(config.held_out_stretch // 2, 1)
     views_of_runs = np.random.default_rng(0).integers(views, size=(joints, frames // length + 1))
     chosen = views_of_runs.repeat(length, axis=1)[:, :frames] == np.arange(views)[:, None, None]
-    hidden = chosen & there & (there.sum(0) >= 3)
-    _, joint, frame = np.nonzero(hidden)
-    return hidden, joint * frames + frame // length
+    return chosen & there & (there.sum(0) >= 3)
 
 
 def drop_outliers(

@@ -1,25 +1,22 @@
-"""Tracks: what was seen of bodies over time, by joint, and where the fit of their poses starts.
+"""Tracks: what was seen of a body over time, by joint, and where the fit of its poses starts.
 
-A track is made of stretches of frames, of one individual or of several, one after the other: what
-is linear in time works on all of them at once. The fit starts from bones' lengths and triangulated
-points with their gaps filled in.
+The fit starts from bones' lengths and triangulated points with their gaps filled in.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import do_in_threads
-from mocap_calib.config import PosesConfig, TriangulateConfig
+from mocap_calib.config import PosesConfig
 from mocap_calib.geometry.lens import rays_in_world
-from mocap_calib.results import POINT_SOURCES, Matches, Poses3D
+from mocap_calib.results import POINT_SOURCES, Poses3D
 from mocap_calib.rig.tracks import Tracks
-from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
+from mocap_calib.types import Bools, CameraRig, Floats, Ints
 
 _TRIANGULATED = POINT_SOURCES.index("triangulated")
 _ONE_VIEW = POINT_SOURCES.index("one view")
@@ -46,11 +43,11 @@ class Detections:
 
 @dataclass(frozen=True)
 class Body:
-    """What is expected of bodies in each frame of a track.
+    """What is expected of the body of a track.
 
-    edges: `[edge, 2]` keypoints whose distance is constant. lengths: `[edge, frame]` these
-        distances, NaN where they are not known. varies: `[edge, frame]` by how much (standard
-        deviation) they vary all the same. size: `[frame]` of the bodies: strengths are in it.
+    edges: `[edge, 2]` keypoints whose distance is constant. lengths: `[edge]` these distances, NaN
+        where they are not known. varies: `[edge]` by how much (standard deviation) they vary all
+        the same. size: of the body: strengths are in it.
     steps: `[3, frame]` what the positions in a frame, the next one and the one after that are
         multiplied by for the acceleration there, zero where these frames do not follow each other.
         Times are in the usual step from one frame to the next.
@@ -59,26 +56,8 @@ class Body:
     edges: Ints
     lengths: Floats
     varies: Floats
-    size: Floats
+    size: float
     steps: Floats
-
-
-_Part = TypeVar("_Part", Detections, Body)
-_OVER_TIME = (
-    "rays",
-    "precision",
-    "lengths",
-    "varies",
-    "size",
-    "steps",
-)  # their last axis is frames
-
-
-def join(parts: Sequence[_Part]) -> _Part:
-    """Return one part of a track and then, later in time, the others."""
-    own = [each.name for each in fields(parts[0]) if each.name in _OVER_TIME]
-    joined = {name: np.concatenate([getattr(p, name) for p in parts], axis=-1) for name in own}
-    return replace(parts[0], **joined)
 
 
 def detections_of(rig: CameraRig, seen: Tracks, noise: Floats, *, keypoints: int) -> Detections:
@@ -168,36 +147,6 @@ def blocks(frames: Ints, config: PosesConfig) -> Iterator[tuple[slice, Ints]]:
 
 
 # Where the fit starts
-
-
-def add_refused(
-    recording: Recording,
-    rig: CameraRig,
-    matches: Matches,
-    points: Floats,
-    *,
-    noise: Floats,
-    config: TriangulateConfig,
-) -> Floats:
-    """Return triangulated points with those that a wider limit lets through where there are none.
-
-    Where frames do not follow each other, views that disagree by more than their noise are still
-    the best evidence, and the robust fit decides between them: MVOR has 45.5 % of its joints with
-    it, 43.6 % without. In motions interpolated points are better.
-
-    points: `[frame, individual, keypoint, 3]`. noise: `[view]` in radians. config: with the wider
-    limit.
-    """
-    frames, individuals, keypoints, _ = points.shape
-    found = mapped.empty(points.shape)
-    for block in frame_blocks(frames, individuals * keypoints):
-        _, wider, _ = triangulate_frames(
-            block, recording=recording, rig=rig, matches=matches, noise=noise, config=config
-        )
-        own = points[block]
-        found[block] = np.where(np.isfinite(own), own, wider.T.reshape(own.shape))
-        mapped.let_go()
-    return found
 
 
 def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Floats]:

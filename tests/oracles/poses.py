@@ -25,11 +25,11 @@ def rows_of_bones(points: np.ndarray, body: Body, strengths: Strengths, config: 
     """Yield both places, the direction `[3]`, the error and the weight of each bone and frame."""
     edges = body.edges if np.isfinite(strengths.bones) else []
     for edge, (a, b) in enumerate(edges):
-        for frame in np.flatnonzero(np.isfinite(body.lengths[edge])):
+        for frame in range(points.shape[1] if np.isfinite(body.lengths[edge]) else 0):
             along = points[a, frame] - points[b, frame]
             length = np.linalg.norm(along)
-            sigma = np.hypot(strengths.bones * body.size[frame], body.varies[edge, frame])
-            error = length - body.lengths[edge, frame]
+            sigma = np.hypot(strengths.bones * body.size, body.varies[edge])
+            error = length - body.lengths[edge]
             weight = 1 / sigma**2 / (1 + (error / sigma / config.prior_loss) ** 2)
             yield (a, frame), (b, frame), along / length, error, weight
 
@@ -54,7 +54,7 @@ def add_motion(points, body, strengths, config, hessian, gradient) -> None:
     own = accelerations(points, body)
     own = own - shared_accelerations(own, config)
     for joint, frame in np.argwhere(np.broadcast_to(body.steps[0, :-2] != 0, own.shape[:2])):
-        sigma = strengths.acceleration * body.size[frame]
+        sigma = strengths.acceleration * body.size
         square = own[joint, frame] @ own[joint, frame] / sigma**2
         weight = 1 / sigma**2 / (1 + square / config.prior_loss**2)
         steps = body.steps[:, frame]
@@ -79,7 +79,7 @@ def normal_equations(points, seen, body, strengths, config) -> tuple[np.ndarray,
                 block = weight * sign * other_sign * np.outer(direction, direction)
                 hessian[(*place, slice(None), *other)] += block
     add_motion(points, body, strengths, config, hessian, gradient)
-    ridge = np.broadcast_to((config.ridge / body.size**2)[:, None], points.shape)
+    ridge = np.full(points.shape, config.ridge / body.size**2)
     size = points.size
     return hessian.reshape(size, size) + np.diag(ridge.ravel()), gradient
 
@@ -87,7 +87,7 @@ def normal_equations(points, seen, body, strengths, config) -> tuple[np.ndarray,
 def covariances(points, seen, body, strengths, config) -> np.ndarray:
     """Return the covariances `[keypoint, frame, 6]`; bones count to first order."""
     known = np.zeros((*points.shape, 3))
-    ridge = (config.ridge / body.size**2)[:, None, None] * np.eye(3)
+    ridge = config.ridge / body.size**2 * np.eye(3)
     for place, jacobian, _, weight in rows_of_rays(points, seen, strengths.loss):
         known[place] += weight * jacobian.T @ jacobian
     alone = np.linalg.inv(known + ridge)
@@ -101,7 +101,7 @@ def covariances(points, seen, body, strengths, config) -> np.ndarray:
     for joint, own in enumerate(known):
         system = hessian[joint, :, :, joint]
         for frame, block in enumerate(own):
-            system[frame, :, frame] += block + ridge[frame]
+            system[frame, :, frame] += block + ridge
         frames = points.shape[1]
         inverse = np.linalg.inv(system.reshape(3 * frames, -1)).reshape(system.shape)
         found[joint] = [inverse[frame, :, frame][ENTRIES] for frame in range(frames)]

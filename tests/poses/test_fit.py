@@ -33,13 +33,13 @@ def track(joints: int, frames: int) -> tuple[np.ndarray, Detections, Body]:
     seen = rng.random(offset.shape[1:]) < 0.85
     rays = np.where(seen, offset / np.sqrt((offset**2).sum(0)), 0.0)
     edges = np.stack([np.arange(joints - 1), np.arange(1, joints)], axis=1)
-    lengths = np.full((joints - 1, frames), np.sqrt(0.05))
+    lengths = np.full(joints - 1, np.sqrt(0.05))
     lengths[-1] = np.nan
     body = Body(
         edges=edges,
         lengths=lengths,
         varies=np.full(lengths.shape, 0.01),
-        size=np.linspace(1, 1.2, frames),
+        size=1.1,
         steps=acceleration_steps(times, 10.0),
     )
     detections = Detections(rays, np.where(seen, 1e5, 0.0), centres)
@@ -102,13 +102,13 @@ def test_the_gradient_is_that_of_the_energy(strengths):
         off = ((offset - along * seen.rays) ** 2).sum(0)[there] / along[there] ** 2
         losses = [(off * seen.precision[there], strengths.loss)]
         if np.isfinite(strengths.acceleration):
-            size = strengths.acceleration * body.size[:-2]
+            size = strengths.acceleration * body.size
             square = ((accelerations(at, body) - shared) ** 2).sum(-1) / size**2
             losses.append((square, CONFIG.prior_loss))
         if np.isfinite(strengths.bones):
             length = np.linalg.norm(at[body.edges[:, 0]] - at[body.edges[:, 1]], axis=-1)
             sigma = np.hypot(strengths.bones * body.size, body.varies)
-            error = ((length - body.lengths) / sigma)[:-1]
+            error = ((length.T - body.lengths) / sigma)[:, :-1]
             losses.append((error**2, CONFIG.prior_loss))
         return sum(
             float(scale**2 * np.log1p(square / scale**2).sum()) / 2 for square, scale in losses

@@ -12,7 +12,7 @@ from mocap_calib.config import Config, PosesConfig
 from mocap_calib.geometry.rotation import Similarity, matrix_from_vector
 from mocap_calib.poses import track
 from mocap_calib.poses.fit import Strengths, fit
-from mocap_calib.poses.stage import error_of_mean, smooth_poses
+from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.poses.track import (
     Body,
     Detections,
@@ -153,24 +153,11 @@ def test_nothing_is_smoothed_over_time_where_frames_do_not_follow_each_other():
     seen = replace(seen, frames=np.arange(60))
     poses, smoothing = smooth(seen, matches=truth(**EASY).select(frames=order), **EASY)
     assert smoothing.acceleration == np.inf
-    assert np.isfinite(smoothing.bones)
+    assert smoothing.bones == PosesConfig().bones
     assert not np.isin(poses.source, codes("interpolated", "one view")).any()
     assert mean_error(poses.positions, true_points(**EASY)[order]) < mean_error(
         poses.raw, true_points(**EASY)[order]
     )
-
-
-def test_refused_points_are_completed_where_no_other_frame_helps():
-    """Measured: 44 points that triangulation refused, 0.02 m off in the median."""
-    poses, _ = smooth(recording(**HARD), PosesConfig(smooth="bones"), **HARD)
-    triangulated = poses.source == codes("triangulated")[0]
-    refused = triangulated & np.isnan(poses.raw[..., 0])
-    assert refused.sum() > 20
-    gap = np.linalg.norm(poses.positions - true_points(**HARD), axis=-1)[refused]
-    assert np.median(gap) < 0.06
-    # frames that help are better than views that contradict each other
-    moving, _ = smoothed(**HARD)
-    assert np.isfinite(moving.raw[moving.source == codes("triangulated")[0]]).all()
 
 
 def test_modes_of_smoothing():
@@ -194,13 +181,6 @@ def test_heavy_tails_of_a_detector_choose_the_narrow_loss():
     usual, wide, narrow = PosesConfig().losses
     assert smoothing.loss == narrow < usual < wide
     assert smoothed(**EASY)[1].loss in (usual, wide)
-
-
-def test_errors_that_go_together_count_once():
-    values, run = np.random.default_rng(0).normal(size=40), np.arange(40)
-    alone = error_of_mean(values, run)
-    assert alone == pytest.approx(values.std() / np.sqrt(40))
-    assert error_of_mean(values.repeat(25), run.repeat(25)) == pytest.approx(alone)
 
 
 def test_lengths_of_bones_and_how_much_they_vary():
@@ -241,12 +221,12 @@ def test_blocks_of_time_join_without_a_seam(monkeypatch):
 
 
 def test_bodies_measured_in_some_of_their_frames_are_smoothed_alike(monkeypatch):
-    """Of 60 frames, 20: measured 1.6 mm apart on average."""
+    """Of 60 frames, 20: measured 3.6 mm apart on average, by other lengths of bones."""
     whole, _ = smoothed(**HARD)
     monkeypatch.setattr(mapped, "_ENOUGH", 20)
     some, _ = smooth(recording(**HARD), **HARD)
     apart = np.linalg.norm(some.positions - whole.positions, axis=-1)
-    assert 0 < np.nanmean(apart) < 0.003
+    assert 0 < np.nanmean(apart) < 0.005
 
 
 def test_same_bytes_and_no_order_of_individuals():
@@ -269,9 +249,9 @@ def test_a_point_next_to_a_camera_is_solved_for():
     rays = ray[:, None, None, None] * np.ones((1, 1, 1, frames))
     seen = Detections(rays, np.full((1, 1, frames), 1e6), np.zeros((1, 3)))
     points = (ray * distance[:, None])[None] * (1 + 1e-3 * rng.normal(size=(1, frames, 1)))
-    none, config = np.zeros((0, frames)), PosesConfig()
+    none, config = np.zeros(0), PosesConfig()
     steps = acceleration_steps(np.arange(frames) * 1.0, 1.0)
-    body = Body(np.zeros((0, 2), np.int64), none, none, np.ones(frames), steps)
+    body = Body(np.zeros((0, 2), np.int64), none, none, 1.0, steps)
     strengths = Strengths(0.01, np.inf, 3.0)
     found = fit(points, seen, body, strengths, config, steps=4)
     assert np.abs(found).max() < 100

@@ -85,8 +85,7 @@ def test_another_choice_of_strengths_moves_poses_little(how, seed):
     """No exact law but of the order of detections, and of the mirror.
 
     Measured 11.1 mm at worst for another order of cameras, 10.6 of names, 10.1 of time; median of
-    a scene 1.3 mm at most. Accelerations are chosen up to twice as large or as small, with
-    bones that are chosen weaker.
+    a scene 1.3 mm at most. Accelerations are chosen up to twice as large or as small.
     """
     poses, smoothing, _ = first_told()
     rng = np.random.default_rng(seed)
