@@ -144,19 +144,16 @@ class AveragingConfig:
         of one time 0.84 and more.
     scale_deg: a pair this far from the rig keeps a quarter of its weight, and one that keeps less
         contradicts the others. So does a pair whose baseline is off by twice this angle.
-    loop_doubt: a hypothesis that all its triangles contradict keeps this share of its score
-        squared, against one that they confirm.
     contradicted_share: two groups that are certain without each other are joined by no strong pair
         that closes less of its triangles, of at least `enough_triangles`; and by no other
         where all pairs between them together close less. Measured in a hall of 64 cameras: right
         pairs between two groups close 0.5 and more, wrong ones up to 0.2.
-    iterations: of reweighting, and of passing messages between the pairs of triangles.
+    iterations: of reweighting.
     """
 
     least_score: float = 0.12
     weak_score: float = 0.62
     scale_deg: float = 4.0
-    loop_doubt: float = 0.1
     contradicted_share: float = 0.25
     enough_triangles: int = 5
     iterations: int = 30

@@ -1,6 +1,6 @@
 """The order of the stages and nothing else.
 
-sample -> lift -> pairs -> loops -> synchronise, and for each group of cameras that see the same
+sample -> lift -> pairs -> synchronise, and for each group of cameras that see the same
 bodies:
 average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate; then
 faults -> smooth -> verdict -> world.
@@ -37,7 +37,7 @@ from mocap_calib.rig.associate import associate, label_all_frames
 from mocap_calib.rig.averaging import average, camera_groups
 from mocap_calib.rig.observed import Observed, leave_out_underconstrained
 from mocap_calib.rig.triangulate import check_same_cameras
-from mocap_calib.rig.view_graph import calibrate_view_graph, select_hypotheses
+from mocap_calib.rig.view_graph import calibrate_view_graph
 from mocap_calib.training import on_device
 from mocap_calib.types import CameraRig, Ints, Mapper, Progress, Recording, silent
 from mocap_calib.verdict.verdict import conclude, judge
@@ -144,7 +144,7 @@ class _Calibrator:
         return observed, self._join(groups, observed)
 
     def observe(self, recording: Recording) -> Observed:
-        """Return what is known before a rig is built: sample -> lift -> pairs -> loops."""
+        """Return what is known before a rig is built: sample -> lift -> pairs."""
         recording = hide_blind_spots(recording)
         with self.clock("sample"):
             sample_frames = choose_sample_frames(recording, self.config.sample)
@@ -161,8 +161,6 @@ class _Calibrator:
                 mapper=self.mapper,
                 solve=self.pair_solver,
             )
-        with self.clock("loops"):
-            pairs = select_hypotheses(pairs, self.config.averaging)
         return Observed(recording, sample_frames, sample, lifted, pairs)
 
     def _calibrate_group(self, observed: Observed) -> GroupResult:

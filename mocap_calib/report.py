@@ -24,7 +24,6 @@ from mocap_calib.results import (
     PairwiseCalibration,
 )
 from mocap_calib.rig.averaging import WEIGHT_AT_SCALE, best_scores
-from mocap_calib.rig.view_graph import alternative_taken
 from mocap_calib.types import ARBITRARY, EstimatedCamera, Floats
 from mocap_calib.verdict.checks import residuals_of
 from mocap_calib.verdict.evaluation import median_and_max
@@ -189,7 +188,6 @@ def _describe_pair(group: GroupResult, index: int, error: Floats) -> dict[str, A
         "loop_translation_deg": float(np.degrees(averaged.translation_error[index])),
         "weight": weight,
         "breaks_loop": weight < WEIGHT_AT_SCALE,
-        "alternative_taken": alternative_taken(pair),
         "alternatives": [
             {
                 "score": other.score,

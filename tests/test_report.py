@@ -145,7 +145,6 @@ def test_every_finding_of_a_report_is_said_in_one_place():
         (camera, {"faults": ["inconsistent"]}, "inconsistent", 0),
         (camera, {"weak_perspective": True}, "weak perspective", 1),
         (pair, {"breaks_loop": True}, "-", 1),
-        (pair, {"alternative_taken": True}, "-", 1),
     ):
         before = {key: entry[key] for key in worst}
         entry.update(worst)

@@ -142,14 +142,11 @@ def _describe_pairs(report: dict[str, Any]) -> list[str]:
         for pair in report["pairs"]
         if pair["breaks_loop"]
     ]
-    overruled = [
-        f"{pair['a']}-{pair['b']}" for pair in report["pairs"] if pair["alternative_taken"]
+    if not contradict:
+        return []
+    return [
+        f"pairs that contradict the others and were given little weight: {_name_some(contradict)}"
     ]
-    said = {
-        "contradict the others and were given little weight": contradict,
-        "took an alternative to their own best answer, as others confirm it": overruled,
-    }
-    return [f"pairs that {what}: {_name_some(pairs)}" for what, pairs in said.items() if pairs]
 
 
 def _name_some(names: list[str]) -> str:

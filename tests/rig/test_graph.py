@@ -1,8 +1,6 @@
-"""Alternatives, loops, and groups of cameras: laws on exact pairs, then scenes with truth."""
+"""Groups of cameras: laws on exact pairs, then scenes with truth."""
 
 import json
-import sys
-from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations
@@ -10,20 +8,18 @@ from itertools import combinations
 import numpy as np
 import pytest
 from report_pages import page_data
-from scenes import PEOPLE, calibrate_all, lifted, precision, recording, rotation_errors_deg, scene
+from scenes import PEOPLE, calibrate_all, precision, rotation_errors_deg, scene
 
-from mocap_calib.config import AveragingConfig, PairwiseConfig
+from mocap_calib.config import AveragingConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
+from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.own import format_cameras_yaml
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.keypoints.coco_writer import format_coco
-from mocap_calib.pairs.solve import calibrate_pairs
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import PairwiseCalibration
-from mocap_calib.rig.averaging import average, camera_groups, pairs_among, usable_cameras
-from mocap_calib.rig.view_graph import alternative_taken, select_hypotheses
-from mocap_calib.types import Camera, CameraRig, Keypoints2D, silent
+from mocap_calib.rig.averaging import camera_groups, usable_cameras
+from mocap_calib.types import Camera, CameraRig, Keypoints2D
 
 CONFIG = AveragingConfig()
 
@@ -50,194 +46,10 @@ def hypothesis(
     )
 
 
-def pairs_of(
-    rig: CameraRig, wrong: set[tuple[int, int]], seed: int = 0
-) -> tuple[PairwiseCalibration, ...]:
-    """Return pairs with a right and a wrong hypothesis each.
-
-    The right one has the better score, but for the `wrong` pairs.
-    """
-    rng = np.random.default_rng(seed)
-    pairs = []
-    for a, b in combinations(range(len(rig.cameras)), 2):
-        wrong_is_best = (a, b) in wrong
-        right = hypothesis(rig, a, b, 0.7 if wrong_is_best else 0.8)
-        nonsense = hypothesis(rig, a, b, 0.8 if wrong_is_best else 0.7, rng)
-        best, other = (nonsense, right) if wrong_is_best else (right, nonsense)
-        pairs.append(replace(best, alternatives=(other,)))
-    return tuple(pairs)
-
-
-def errors_deg(pairs: tuple[PairwiseCalibration, ...], rig: CameraRig) -> np.ndarray:
-    errors = [angle_between(pair.rotation, rig.relative(pair.a, pair.b)[0]) for pair in pairs]
-    return np.degrees(errors)
-
-
-def rotations(pairs: tuple[PairwiseCalibration, ...]) -> list[bytes]:
-    return [pair.rotation.tobytes() for pair in pairs]
-
-
-# which hypothesis
-
-
-@pytest.mark.parametrize("cameras", [3, 4, 6])
-def test_a_wrong_best_hypothesis_is_put_right_by_the_loop(cameras):
-    """Whichever pair it is, and that pair alone is named."""
-    rig = scene(cameras=cameras).rig
-    for pair in combinations(range(cameras), 2):
-        found = select_hypotheses(pairs_of(rig, {pair}), CONFIG)
-        assert errors_deg(found, rig).max() < 1e-5
-        assert [(p.a, p.b) for p in found if alternative_taken(p)] == [pair]
-        assert rotation_errors_deg(average(rig.cameras, found, CONFIG).rig, rig).max() < 1e-4
-
-
-def test_a_third_of_the_pairs_may_be_wrong():
-    """Five of fifteen: without the loops the rig is far off."""
-    rig = scene(cameras=6).rig
-    wrong = pairs_of(rig, {(0, 1), (1, 2), (2, 5), (0, 4), (3, 4)})
-    assert errors_deg(select_hypotheses(wrong, CONFIG), rig).max() < 1e-5
-    assert (errors_deg(wrong, rig) > 20).sum() == 5
-
-
-def test_no_hypothesis_is_lost_or_changed():
-    rig = scene(cameras=4).rig
-    before = pairs_of(rig, {(0, 2)})
-    after = select_hypotheses(before, CONFIG)
-    for old, new in zip(before, after, strict=True):
-        assert sorted(rotations(old.hypotheses)) == sorted(rotations(new.hypotheses))
-        assert not any(other.alternatives for other in new.alternatives)
-    assert rotations(select_hypotheses(after, CONFIG)) == rotations(after)
-
-
-def test_the_order_of_pairs_and_of_views_does_not_matter():
-    rig = scene(cameras=5).rig
-    pairs = pairs_of(rig, {(0, 3), (1, 2)})
-    forward = select_hypotheses(pairs, CONFIG)
-    backward = select_hypotheses(pairs[::-1], CONFIG)
-    assert rotations(backward[::-1]) == rotations(forward)
-
-    swapped = select_hypotheses(tuple(map(swap_views, pairs)), CONFIG)
-    assert list(map(alternative_taken, swapped)) == list(map(alternative_taken, forward))
-    assert errors_deg(swapped, rig).max() < 1e-5
-
-
-def swap_views(pair: PairwiseCalibration) -> PairwiseCalibration:
-    """Return the same relative pose as that of (b, a)."""
-    return replace(
-        pair,
-        a=pair.b,
-        b=pair.a,
-        rotation=pair.rotation.T,
-        translation=-pair.rotation.T @ pair.translation,
-        alternatives=tuple(map(swap_views, pair.alternatives)),
-    )
-
-
-@pytest.mark.parametrize("swapped", [(), (0,), (1,), (2,), (0, 2)])
-def test_a_loop_tells_baselines_that_point_the_other_way(swapped):
-    """Also where some pairs are those of (b, a): rotations alone are the same."""
-    rig = scene(cameras=3).rig
-    pairs = [hypothesis(rig, a, b, 0.7) for a, b in combinations(range(3), 2)]
-    other_way = replace(pairs[1], translation=-pairs[1].translation, score=0.8)
-    pairs[1] = replace(other_way, alternatives=(pairs[1],))
-    for k in swapped:
-        pairs[k] = swap_views(pairs[k])
-    assert [pair.score for pair in select_hypotheses(tuple(pairs), CONFIG)] == [0.7] * 3
-
-
 def turned(pair: PairwiseCalibration, degrees: float) -> PairwiseCalibration:
     """Return the relative pose with its rotation so far off, and the same translation."""
     turn = matrix_from_vector(np.radians([0.0, degrees, 0.0]))
     return replace(pair, rotation=turn @ pair.rotation)
-
-
-@pytest.mark.parametrize(("degrees", "overruled"), [(10.6, False), (20.8, True)])
-def test_loops_are_weighed_against_the_squares_of_scores(degrees, overruled):
-    """A score twice as good counts four times: it stands at a closure of 0.3, not at 0.1."""
-    rig = scene(cameras=3).rig
-    pairs = [hypothesis(rig, a, b, 0.8) for a, b in combinations(range(3), 2)]
-    other = replace(pairs[1], score=0.4)
-    pairs[1] = replace(turned(pairs[1], degrees), alternatives=(other,))
-    found = select_hypotheses(tuple(pairs), CONFIG)
-    assert [alternative_taken(pair) for pair in found] == [False, overruled, False]
-
-
-def test_without_a_loop_the_score_decides():
-    """Two views, and a chain of three."""
-    for cameras in (2, 3):
-        pairs = pairs_of(scene(cameras=cameras).rig, {(0, 1)})
-        chain = tuple(pair for pair in pairs if pair.b == pair.a + 1)
-        assert [pair.score for pair in select_hypotheses(chain, CONFIG)] == [0.8] * len(chain)
-
-
-def test_a_hypothesis_below_the_least_score_is_not_taken():
-    pairs = []
-    for pair in pairs_of(scene(cameras=4).rig, {(0, 1)}):
-        (other,) = pair.alternatives
-        poor = replace(other, score=0.5 * CONFIG.least_score)
-        pairs.append(replace(pair, alternatives=(poor,)))
-    assert not any(map(alternative_taken, select_hypotheses(tuple(pairs), CONFIG)))
-
-
-def calls_to_select(cameras: int) -> int:
-    """Count the functions that are called to choose among the hypotheses of a rig's pairs."""
-    rig = scene(cameras=cameras, frames=2).rig
-    pairs = pairs_of(rig, {(0, 1), (2, 9), (3, 11)})
-    calls = Counter()
-    sys.setprofile(lambda _frame, event, _argument: calls.update([event]))
-    try:
-        found = select_hypotheses(pairs, CONFIG)
-    finally:
-        sys.setprofile(None)
-    assert errors_deg(found, rig).max() < 1e-5
-    return calls["call"] + calls["c_call"]
-
-
-def test_work_on_loops_grows_with_the_pairs_not_with_the_triangles():
-    """Of 31 cameras and of 16: 3.9 times the pairs, 8.0 times the triangles; measured 3.7."""
-    assert calls_to_select(31) < 4.2 * calls_to_select(16)
-
-
-def test_a_pair_that_explains_nothing_keeps_the_only_hypothesis_it_has():
-    """Beside pairs of several: what it lacks would close the loops better."""
-    rig = scene(cameras=6).rig
-    first, *others = pairs_of(rig, set())
-    turned = matrix_from_vector(np.array([0.0, np.pi, 0.0])) @ first.rotation
-    nothing = replace(
-        first, rotation=turned, translation=1e3 * np.ones(3), score=0.0, alternatives=()
-    )
-    assert select_hypotheses((nothing, *others), CONFIG)[0] == nothing
-
-
-def test_hypotheses_of_a_single_frame():
-    """One frame of one person, six cameras, measured without the loops and with them.
-
-    The best hypothesis of a pair is 105 degrees off, the alternative that its loops confirm 19.
-    The rig is 7 degrees off.
-    """
-    changes = {"people": 1, "frames": 1, "cameras": 6, "seed": 205}
-    rig = scene(**changes).rig
-    pairs = calibrate_pairs(
-        recording(**changes),
-        lifted(**changes),
-        PairwiseConfig(),
-        rng=np.random.default_rng(0),
-        progress=silent,
-    )
-    found = select_hypotheses(pairs, CONFIG)
-    assert errors_deg(pairs, rig).max() > 90
-    assert errors_deg(found, rig).max() < 60
-    assert any(map(alternative_taken, found))
-    after = average(rig.cameras, found, CONFIG).rig
-    assert rotation_errors_deg(after, rig).max() < 20
-
-
-def test_alternatives_are_renumbered_with_their_pair():
-    pairs = pairs_among(pairs_of(scene(cameras=4).rig, set()), np.array([1, 3]))
-    assert [(m.a, m.b) for m in pairs[0].hypotheses] == [(0, 1), (0, 1)]
-
-
-# which cameras
 
 
 def bridged(score: float, *, right: bool) -> tuple[CameraRig, tuple[PairwiseCalibration, ...]]:

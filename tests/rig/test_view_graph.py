@@ -15,7 +15,6 @@ from mocap_calib.rig.view_graph import (
     first_pairs,
     measure_covisibility,
     pairs_to_grow,
-    select_hypotheses,
     takes_all_pairs,
 )
 from mocap_calib.types import silent
@@ -157,5 +156,5 @@ def test_chosen_pairs_make_the_rig_that_all_pairs_make():
     assert all(by_views[pair.a, pair.b] == pair for pair in chosen)
     config = Config().averaging
     rig = scene(**changes).rig
-    found = average(rig.cameras, select_hypotheses(chosen, config), config).rig
+    found = average(rig.cameras, chosen, config).rig
     assert rotation_errors_deg(found, rig).max() < 2

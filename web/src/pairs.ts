@@ -92,7 +92,6 @@ class Matrix {
     const line = (path: Path, label: Child, unit = ""): HTMLElement => h("div", {}, h("dt", {}, label), h("dd", {}, figure(["pairs", index, ...path], { unit })));
     const hints = [
       pair.breaks_loop ? "It contradicts the others." : null,
-      pair.alternative_taken ? "Not its own best answer was taken, but one that the cameras between confirm." : null,
       pair.alternatives.length ? `It had ${pair.alternatives.length} other answer${pair.alternatives.length > 1 ? "s" : ""}.` : null,
     ].filter(Boolean).join(" ");
     const held = this.about.contains(document.activeElement);

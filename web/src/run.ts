@@ -29,7 +29,6 @@ export interface RunPair {
   a: string;
   b: string;
   breaks_loop: boolean;
-  alternative_taken: boolean;
   source: string;
   alternatives: unknown[];
 }

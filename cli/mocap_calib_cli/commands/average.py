@@ -12,7 +12,6 @@ from mocap_calib_cli import options, values
 def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     """Find where all cameras stand (the rig) from PAIRS, the file of `pairwise`; - reads stdin.
 
-    Where a pair has several answers, the one is taken that agrees with the pairs of other cameras.
     Cameras that are in no pair are left out and named.
 
     \b
@@ -25,7 +24,6 @@ def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.pairs_json import pairs_from_json
     from mocap_calib.rig.averaging import average, pairs_among, usable_cameras
-    from mocap_calib.rig.view_graph import select_hypotheses
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.describe import describe_unused_cameras
     from mocap_calib_cli.progress import Reporter
@@ -34,7 +32,6 @@ def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     config = AveragingConfig()
     text = inputs.read_text(pairs, "PAIRS")
     found, cameras = pairs_from_json(text, "stdin" if pairs == options.STDIO else pairs)
-    found = select_hypotheses(found, config)
     views = usable_cameras(cameras, found, config)
     left_out = [camera.name for view, camera in enumerate(cameras) if view not in views]
     Reporter(quiet=shared.quiet).say(*describe_unused_cameras(left_out))
