@@ -25,13 +25,8 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from mocap_calib.adjust.problem import Problem, choose_problem, free_poses, solve
-from mocap_calib.adjust.residuals import Linearised, Part, Residuals, State, parts_of
-from mocap_calib.adjust.solve import (
-    Parameters,
-    eliminate_points,
-    normal_equations,
-    optimise_points,
-)
+from mocap_calib.adjust.residuals import Part, Residuals, State, parts_of
+from mocap_calib.adjust.solve import Parameters, eliminate_points, optimise_points
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError
@@ -127,25 +122,16 @@ def _information_of(
 ) -> tuple[Floats, Floats, tuple[float, float]]:
     """Return the information of a block of points, and the sums of u and of u^2 r'r / (w s^2)."""
     basis = parameters.by_view[part.views].reshape(-1, parameters.basis.shape[1])
-    linear = part.seen.linearise(part.block, part.state, scale, steps=0)
-    equations = normal_equations(part.state.rotation, linear)
-    inverse, system, _ = eliminate_points(equations)
-    moved = np.einsum("ijn,jn->in", inverse, equations.point_gradient)
-    scores = _camera_gradients(linear) - np.einsum("vcin,in->vcn", equations.mixed, moved)
+    found = eliminate_points(part, scale, steps=0)
+    residual = found.linear.residual
+    scores = np.einsum("vckn,vkn->vcn", found.camera, residual).reshape(len(basis), -1)
+    scores -= np.einsum("cjn,jn->cn", found.product, found.side)
     weight = part.seen.weight[:, part.block]
     # residuals are weighted by u: this is u r'r / (w s^2), and u / w is 1 less it
-    square = (linear.residual**2).sum(1) / np.where(weight > 0, weight, 1.0) / scale**2
+    square = (residual**2).sum(1) / np.where(weight > 0, weight, 1.0) / scale**2
     robust = weight * (1 - square)
     sums = float(robust.sum()), float((robust * square).sum())
-    return basis.T @ system @ basis, basis.T @ scores.reshape(len(basis), -1), sums
-
-
-def _camera_gradients(linear: Linearised) -> Floats:
-    """Return `[view, C, n]` what each detection adds to the gradient of its camera."""
-    force = np.einsum("vkin,vkn->vin", linear.by_point, linear.residual)  # in the camera's frame
-    turning = np.cross(linear.in_camera, force, axis=1)
-    intrinsics = np.einsum("vkin,vkn->vin", linear.by_intrinsics, linear.residual)
-    return np.concatenate([turning, force, intrinsics], axis=1)
+    return basis.T @ found.matrix @ basis, basis.T @ scores, sums
 
 
 def scatter_of(scores: Floats, cluster: Ints) -> Floats:

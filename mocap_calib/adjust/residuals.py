@@ -25,7 +25,7 @@ _NO_LENS = np.empty((0, 14))  # of a camera whose rays are known
 # Cosine between ray and point that stands for all points behind the camera: such a point fits
 # nothing, and moves nothing.
 _BEHIND = 1e-6
-_POINT_STEPS = 10  # of a point, at most, until one
+POINT_STEPS = 10  # of a point, at most, until one
 _POINT_GAIN = 1e-4  # lowers its cost by less, in squared standard deviations
 
 
@@ -76,7 +76,7 @@ class Residuals(Protocol):
         """What each detection counts for."""
 
     def linearise(
-        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
+        self, block: slice, state: State, loss_scale: float, steps: int = POINT_STEPS
     ) -> Linearised:
         """Return the residuals of a block of points about a state, the points optimised first.
 
@@ -124,7 +124,7 @@ class RayResiduals:
         return RayResiduals(*contiguous(rays, metric, self.weight[views, block]))
 
     def linearise(
-        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
+        self, block: slice, state: State, loss_scale: float, steps: int = POINT_STEPS
     ) -> Linearised:
         """Return the residuals about a state, r = M x / (u'x) of a ray u and its metric M."""
         given = state.translation[:, :, None], _NO_LENS, self.rays, self.metric, self.weight
@@ -154,7 +154,7 @@ class PixelResiduals:
         return PixelResiduals(cameras, pixels, self.sigma[views], weight)
 
     def linearise(
-        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
+        self, block: slice, state: State, loss_scale: float, steps: int = POINT_STEPS
     ) -> Linearised:
         """Return the residuals about a state."""
         origin = state.translation[:, :, None]
@@ -295,7 +295,7 @@ class TimedRayResiduals:
         return TimedRayResiduals(self.rays.part(views, block), self.motion.select(block))
 
     def linearise(
-        self, block: slice, state: State, loss_scale: float, steps: int = _POINT_STEPS
+        self, block: slice, state: State, loss_scale: float, steps: int = POINT_STEPS
     ) -> Linearised:
         """Return the residuals about a state, each point where it is at the time of its view."""
         motion, offset = self.motion.select(block), state.intrinsics[:, 0]

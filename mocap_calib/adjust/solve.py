@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from mocap_calib.adjust.residuals import Linearised, Part, Residuals, State, parts_of
+from mocap_calib.adjust.residuals import POINT_STEPS, Linearised, Part, Residuals, State, parts_of
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels import schur as kernels
@@ -148,89 +148,6 @@ def optimise_points(state: State, seen: Residuals, *, loss_scale: float) -> Stat
     return replace(state, points=np.concatenate(list(points), axis=1))
 
 
-# --- the normal equations
-
-
-@dataclass(frozen=True)
-class NormalEquations:
-    """The Gauss-Newton system about a state, with A and B the Jacobians of cameras and points.
-
-    camera: `[view, C, C]` the blocks U = A'A of the cameras, of C unknowns each.
-    camera_gradient: `[view, C]` a = A'r.
-    point: `[3, 3, N]` the blocks V = B'B of the points.
-    point_gradient: `[3, N]` b = B'r.
-    mixed: `[view, C, 3, N]` the blocks W = A'B of a camera and a point.
-    """
-
-    camera: Floats
-    camera_gradient: Floats
-    point: Floats
-    point_gradient: Floats
-    mixed: Floats
-
-
-def normal_equations(rotation: Floats, linear: Linearised) -> NormalEquations:
-    """Return the equations of a block of points.
-
-    What is known of the intrinsics beforehand is not in them (`Parameters.prior`).
-    """
-    slope, residual = linear.by_point, linear.residual
-    turning = np.cross(linear.in_camera[:, None], slope, axis=2)  # a turn w moves x by w x x
-    camera = np.concatenate([turning, slope, linear.by_intrinsics], axis=2)
-    point = np.einsum("vkin,vij->vkjn", slope, rotation)
-    blocks, gradient = _own_blocks(np.ascontiguousarray(camera.swapaxes(1, 2)), residual)
-    return NormalEquations(
-        camera=blocks,
-        camera_gradient=gradient,
-        point=np.einsum("vkin,vkjn->ijn", point, point),
-        point_gradient=np.einsum("vkin,vkn->in", point, residual),
-        mixed=np.einsum("vkin,vkjn->vijn", camera, point),
-    )
-
-
-def eliminate_points(equations: NormalEquations) -> tuple[Floats, Floats, Floats]:
-    """Return V^-1 `[3, 3, N]`, and the system S dc = -g of the cameras.
-
-    S = U - W V^-1 W' is the Schur complement of V, `[C view, C view]`; g = a - W V^-1 b.
-    """
-    mixed = equations.mixed.reshape(-1, *equations.point_gradient.shape)
-    largest = np.einsum("iin->in", equations.point).max(0)
-    ridge = np.where(largest > 0, 1e-12 * largest, 1.0)[:, None, None] * np.eye(3)
-    root = np.linalg.inv(np.linalg.cholesky(equations.point.T + ridge)).T  # Q of V^-1 = QQ'
-    product = np.einsum("cin,ijn->cjn", mixed, root)
-    side = np.einsum("jkn,jn->kn", root, equations.point_gradient)
-    return (
-        np.einsum("ikn,jkn->ijn", root, root),
-        *_schur_complement(equations.camera, equations.camera_gradient, product, side),
-    )
-
-
-def _schur_complement(
-    camera: Floats, gradient: Floats, product: Floats, side: Floats
-) -> tuple[Floats, Floats]:
-    """Return S and g of `eliminate_points`.
-
-    camera, gradient: as of `NormalEquations`. product: W Q `[C view, 3, n]` with a root Q of V^-1;
-    side: Q'b `[3, n]`.
-    """
-    rows, unknowns = product.reshape(len(product), -1), camera.shape[1]
-    matrix = -(rows @ rows.T)
-    for view, block in enumerate(camera):
-        own = slice(unknowns * view, unknowns * (view + 1))
-        matrix[own, own] += block
-    return matrix, gradient.reshape(-1) - rows @ side.reshape(-1)
-
-
-def _own_blocks(camera: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Return the cameras' blocks U `[view, C, C]` and gradients a `[view, C]`.
-
-    camera: `[view, C, 2, n]` the derivatives; residual: `[view, 2, n]`.
-    """
-    rows = camera.reshape(*camera.shape[:2], -1)
-    gradient = np.matmul(rows, residual.reshape(len(rows), -1, 1))[..., 0]
-    return np.matmul(rows, np.swapaxes(rows, 1, 2)), gradient
-
-
 # --- the reduced camera system
 
 
@@ -243,14 +160,14 @@ def _reduce(
     matrix, gradient, stiffness = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     points, cost = [], 0.0
     parts = parts_of(state, seen)
-    work = map_in_threads(lambda part: _reduce_part(part, loss_scale), parts)
-    for part, (linear, *system) in zip(parts, work, strict=True):
+    work = map_in_threads(lambda part: eliminate_points(part, loss_scale), parts)
+    for part, found in zip(parts, work, strict=True):
         own = (unknowns * part.views[:, None] + np.arange(unknowns)).ravel()
-        matrix[np.ix_(own, own)] += system[0]
-        gradient[own] += system[1]
-        stiffness[own] += system[2]
-        points.append(linear.points)
-        cost += linear.cost
+        matrix[np.ix_(own, own)] += found.matrix
+        gradient[own] += found.gradient
+        stiffness[own] += found.stiffness
+        points.append(found.linear.points)
+        cost += found.linear.cost
     known, pull = (each.ravel() for each in parameters.prior(state.intrinsics))
     basis = parameters.basis
     return System(
@@ -262,17 +179,51 @@ def _reduce(
     )
 
 
-def _reduce_part(part: Part, loss_scale: float) -> tuple[Linearised, Floats, Floats, Floats]:
-    """Return a block of points, optimised, and S, g and the diagonal of U of their cameras."""
-    linear = part.seen.linearise(part.block, part.state, loss_scale)
+@dataclass(frozen=True)
+class Eliminated:
+    """The Gauss-Newton system S dc = -g of cameras, of which a block of points is eliminated.
+
+    With the Jacobians A and B of C parameters of each camera and of the points, and residuals r:
+    S = U - W V^-1 W' and g = A'r - W V^-1 B'r, where U = A'A, V = B'B and W = A'B. What is known of
+    the intrinsics beforehand is not in it (`Parameters.prior`).
+
+    linear: the residuals. camera: `[view, C, 2, n]` A. product: `[C view, 3, n]` W Q and side:
+    `[3, n]` Q'B'r of a root Q of V^-1. matrix: S; gradient: g; stiffness: the diagonal of U.
+    """
+
+    linear: Linearised
+    camera: Floats
+    product: Floats
+    side: Floats
+    matrix: Floats
+    gradient: Floats
+    stiffness: Floats
+
+
+def eliminate_points(part: Part, loss_scale: float, *, steps: int = POINT_STEPS) -> Eliminated:
+    """Return the system of the cameras of a block, its points optimised by so many steps."""
+    linear = part.seen.linearise(part.block, part.state, loss_scale, steps)
     (views, _, count), unknowns = linear.in_camera.shape, POSE + linear.by_intrinsics.shape[2]
     camera, side = np.empty((views, unknowns, 2, count)), np.empty((3, count))
     product = np.empty((views * unknowns, 3, count))
     given = linear.in_camera, linear.by_point, linear.by_intrinsics, linear.residual
     kernels.reduced(*contiguous(part.state.rotation, *given, camera, product, side))
-    blocks, gradient = _own_blocks(camera, linear.residual)
-    system = _schur_complement(blocks, gradient, product, side)
-    return linear, *system, np.einsum("vii->vi", blocks).ravel()
+    rows, turned = camera.reshape(views, unknowns, -1), product.reshape(len(product), -1)
+    blocks = np.matmul(rows, np.swapaxes(rows, 1, 2))
+    gradient = np.matmul(rows, linear.residual.reshape(views, -1, 1)).ravel()
+    matrix = -(turned @ turned.T)
+    for view, block in enumerate(blocks):
+        own = slice(unknowns * view, unknowns * (view + 1))
+        matrix[own, own] += block
+    return Eliminated(
+        linear=linear,
+        camera=camera,
+        product=product,
+        side=side,
+        matrix=matrix,
+        gradient=gradient - turned @ side.ravel(),
+        stiffness=np.einsum("vii->vi", blocks).ravel(),
+    )
 
 
 def _move(state: State, cameras: Floats) -> State:

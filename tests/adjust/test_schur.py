@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oracles import adjust as oracle
+import scipy.linalg
+from oracles.adjust import NormalEquations, eliminate_points, normal_equations
 from scenes import scene, turn_cameras
 
 from mocap_calib.adjust import covariance, residuals, solve
@@ -18,14 +19,7 @@ from mocap_calib.adjust.residuals import (
     State,
     changed_cameras,
 )
-from mocap_calib.adjust.solve import (
-    NormalEquations,
-    Parameters,
-    eliminate_points,
-    minimise,
-    normal_equations,
-    optimise_points,
-)
+from mocap_calib.adjust.solve import Parameters, minimise, optimise_points
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.types import Camera
@@ -216,14 +210,15 @@ def whole_system(equations: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
 def test_the_reduced_system_gives_the_step_of_the_whole_system():
     """All unknowns but those of the first camera, solved at once: measured 3e-11 of the largest."""
     state, seen = problem()
-    equations = linearise(state, seen)
+    part = residuals.Part(np.arange(3), slice(0, 100), slice(0, 100), state, seen)
+    found = solve.eliminate_points(part, SCALE, steps=0)
+    equations = normal_equations(state.rotation, found.linear)
     # nothing of the whole system holds the size of the rig
-    whole = replace(equations, camera=equations.camera * 1.01)
-    matrix, gradient = whole_system(whole)
+    matrix, gradient = whole_system(replace(equations, camera=equations.camera * 1.01))
     expected = -np.linalg.lstsq(matrix[6:, 6:], gradient[6:])[0][:12]  # one point is not seen
-    _, reduced, side = eliminate_points(whole)
-    found = -np.linalg.solve(reduced[6:, 6:], side[6:])
-    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    held = scipy.linalg.block_diag(*(0.01 * equations.camera))
+    step = -np.linalg.solve((found.matrix + held)[6:, 6:], found.gradient[6:])
+    np.testing.assert_allclose(step, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_minimising_ends_where_the_gradient_vanishes():
@@ -300,15 +295,13 @@ def test_the_equations_are_those_of_their_jacobians(lens):
     several = ((seen.weight > 0).sum(0) >= 2) & (np.arange(100) != 7)
     seen = replace(seen, weight=np.where(several, seen.weight, 0.0))
     part = residuals.Part(np.arange(3), slice(0, 100), slice(0, 100), state, seen)
-    found, *reduced = solve._reduce_part(part, SCALE)
-    equations = normal_equations(state.rotation, found)
-    expected = oracle.normal_equations(state.rotation, found)
-    eliminated = oracle.schur_complement(expected)
-    stiffness = np.einsum("vii->vi", expected.camera).ravel()
+    found = solve.eliminate_points(part, SCALE)
+    expected = normal_equations(state.rotation, found.linear)
+    _, matrix, gradient = eliminate_points(expected)
     pairs = [
-        *zip(vars(equations).values(), vars(expected).values(), strict=True),
-        *zip(eliminate_points(equations), eliminated, strict=True),
-        *zip(reduced, (*eliminated[1:], stiffness), strict=True),
+        (found.matrix, matrix),
+        (found.gradient, gradient),
+        (found.stiffness, np.einsum("vii->vi", expected.camera).ravel()),
     ]
     for ours, defined in pairs:
         assert np.abs(ours - defined).max() < 1e-9 * np.abs(defined).max()

@@ -1,10 +1,26 @@
 """Definitions in plain numpy of what kernels of the adjustment compute."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.adjust.residuals import Linearised
-from mocap_calib.adjust.solve import NormalEquations
 from mocap_calib.types import Floats
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """The Gauss-Newton system about a state, with A and B the Jacobians of cameras and points.
+
+    camera: `[view, C, C]` U = A'A, of C unknowns each; camera_gradient: `[view, C]` a = A'r.
+    point: `[3, 3, N]` V = B'B; point_gradient: `[3, N]` b = B'r. mixed: `[view, C, 3, N]` W = A'B.
+    """
+
+    camera: Floats
+    camera_gradient: Floats
+    point: Floats
+    point_gradient: Floats
+    mixed: Floats
 
 
 def normal_equations(rotation: Floats, linear: Linearised) -> NormalEquations:
@@ -24,7 +40,7 @@ def normal_equations(rotation: Floats, linear: Linearised) -> NormalEquations:
     )
 
 
-def schur_complement(equations: NormalEquations) -> tuple[Floats, Floats, Floats]:
+def eliminate_points(equations: NormalEquations) -> tuple[Floats, Floats, Floats]:
     """Return V^-1 `[3, 3, N]`, and S = U - W V^-1 W' and g = a - W V^-1 b of all cameras."""
     largest = np.einsum("iin->in", equations.point).max(0)
     ridge = np.where(largest > 0, 1e-12 * largest, 1.0)
