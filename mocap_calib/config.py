@@ -416,37 +416,23 @@ PLAIN_FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
 class MovedConfig:
     """Whether a camera was bumped or moved during the recording (faults/moved.py).
 
-    detections: of one camera, about, by which it is judged, in at least `least_frames` frames that
-        are evenly spread. least_joints: that a detection and a body have in common.
-    least_detections: of an epoch of a camera, and least_share: of its detections.
-    suspicious_gain: share of the errors that a change of the pose at one moment explains, by which
-        a camera deserves a closer look. Sound recordings: at most 0.06, and 0.12 of a fly under
-        telescopes; a camera moved by 0.2 m at 5 m: 0.07 to 0.1; bumped by 2 degrees: 0.2 to 0.8.
-    suspicious_step: the same, by which the mean cost (0..1) of its detections rises or falls at one
-        moment. Sound: at most 0.28; a bump of 20 degrees: 0.7 to 0.9.
+    detections: of one camera, about, by which it is judged.
+    stretches: of time, each of which may have a pose of its own; least_detections: of a stretch.
     loose: tolerance of an error, in RMS angular sizes of a detection: wider than what a bump of a
         few degrees makes, so that both epochs still count.
-    hypotheses: poses that single detections ask for.
     tolerance_noises: of an error, in standard deviations, in the end.
     steps: of Gauss and Newton, down to a tenth of the widest tolerance.
-    explained: cost (0..1) below which a detection is explained by the pose of the camera.
     most_changes: that are looked for in one camera.
     least_angle_deg, and least_shift in sizes of the rig: a change below both is none: clocks that
         differ by a part of a frame look like 0.1 deg and 0.004.
     """
 
     detections: int = 300
-    least_frames: int = 40
-    least_joints: int = 4
+    stretches: int = 25
     least_detections: int = 12
-    least_share: float = 0.04
-    suspicious_gain: float = 0.04
-    suspicious_step: float = 0.3
     loose: float = 0.3
-    hypotheses: int = 60
     tolerance_noises: float = 3.0
     steps: int = 6
-    explained: float = 0.5
     most_changes: int = 3
     least_angle_deg: float = 0.5
     least_shift: float = 0.01

@@ -48,51 +48,22 @@ class Seen:
         return Seen(self.points[index], self.pixels[index], self.block[index], self.keypoint[index])
 
 
-@dataclass(frozen=True)
-class CameraPose:
-    """rotation: `[3, 3]` and translation: `[3]` of cam_from_world."""
-
-    rotation: Floats
-    translation: Floats
-
-
-@dataclass(frozen=True)
-class CameraPoses:
-    """Poses that a camera may have: cam_from_world.
-
-    rotation: `[pose, 3, 3]`; translation: `[pose, 3]`.
-    """
-
-    rotation: Floats
-    translation: Floats
-
-    def __len__(self) -> int:
-        return len(self.rotation)
-
-    def __getitem__(self, index: Ints | slice) -> "CameraPoses":
-        return CameraPoses(self.rotation[index], self.translation[index])
-
-    def __add__(self, other: "CameraPoses") -> "CameraPoses":
-        return CameraPoses(
-            np.concatenate([self.rotation, other.rotation]),
-            np.concatenate([self.translation, other.translation]),
-        )
-
-    def each(self) -> list[CameraPose]:
-        """Return the poses one by one."""
-        return list(map(CameraPose, self.rotation, self.translation))
+def pose_of(rig: CameraRig, view: int) -> Floats:
+    """Return the pose `[3, 4]` of a camera, cam_from_world."""
+    return np.column_stack([rig.rotation[view], rig.translation[view]])
 
 
 @dataclass(frozen=True)
 class CameraFit:
     """The pose and the unknowns under which a camera sees points where it does.
 
+    pose: `[3, 4]` cam_from_world.
     unknowns: `[unknown]` in the order in which they were asked for.
     covariance: `[unknown, unknown]` of them, errors of one joint and of one stretch going together.
     error: `[N]` distances in pixels.
     """
 
-    pose: CameraPose
+    pose: Floats
     unknowns: Floats
     covariance: Floats
     error: Floats
@@ -109,7 +80,7 @@ class LinearisedCamera:
 def fit_camera(
     camera: Camera,
     seen: Seen,
-    start: CameraPose,
+    start: Floats,
     config: CameraFitConfig,
     *,
     noise: float,
@@ -163,15 +134,15 @@ def shift_of_unknowns(
 
 @dataclass(frozen=True)
 class Unknowns:
-    """A pose and `[unknown]` others."""
+    """A pose `[3, 4]` and `[unknown]` others."""
 
-    pose: CameraPose
+    pose: Floats
     others: Floats
 
     def moved(self, step: Floats) -> "Unknowns":
         """Return the unknowns after a step `[parameter]`: turn, shift and others."""
-        rotation = matrix_from_vector(step[:3]) @ self.pose.rotation
-        pose = CameraPose(rotation, self.pose.translation + step[3:POSE])
+        rotation = matrix_from_vector(step[:3]) @ self.pose[:, :3]
+        pose = np.column_stack([rotation, self.pose[:, 3] + step[3:POSE]])
         return Unknowns(pose, self.others + step[POSE:])
 
 
@@ -218,8 +189,8 @@ def linearise_camera(
     for name in ("log_scale", "log_focal"):
         value[name] = float(np.clip(value.get(name, 0.0), -_MOST_LOG, _MOST_LOG))
     camera = lens.change_intrinsics(camera, log_focal=value["log_focal"], k1=0.0)
-    turned = now.pose.rotation @ seen.points.T
-    in_camera = turned + now.pose.translation[:, None]
+    turned = now.pose[:, :3] @ seen.points.T
+    in_camera = turned + now.pose[:, 3:]
     front = in_camera[2] > 1e-9
     depth = np.where(front, in_camera[2], 1.0)
     image = np.where(front, in_camera[:2] / depth, 0.0)

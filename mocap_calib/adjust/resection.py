@@ -13,30 +13,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import (
-    CameraPose,
-    CameraPoses,
-    Seen,
-    Unknowns,
-    cauchy_loss,
-    fit_camera,
-    linearise_camera,
+from mocap_calib.adjust.camera_fit import Seen, pose_of
+from mocap_calib.config import (
+    LEAST_FORWARD,
+    LEAST_JOINTS,
+    Config,
+    MovedConfig,
+    ResectionConfig,
 )
-from mocap_calib.config import LEAST_FORWARD, CameraFitConfig, Config, MovedConfig, ResectionConfig
-from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.kernels.resection import compare
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.observed import PlacedCameras, choose_frames, place_bodies
-from mocap_calib.types import POSE, Bools, Camera, Floats, Ints, Sample
+from mocap_calib.types import Bools, Floats, Ints, Sample
 
-_UNIT = 0.1  # focal lengths: a tolerance that tells the nearest body from the others
 _REFINED = 8  # poses that are refined, of those that single detections ask for
-_FITS = 0.5  # cost below which a detection may show a body
+FITS = 0.5  # cost below which a detection may show a body
 _CLEARLY = 0.5  # of the other cost: one of two readings is clearly better
-_LEAST_COMPARED = 3  # joints of a detection and a body that are compared: six of two give eleven
-_PINHOLE = Camera("", (0, 0), np.eye(3))  # whose pixels are focal lengths
-_ROUND = CameraFitConfig(loss_scales=(1.0,), steps=5)  # of one tolerance
 
 
 @dataclass(frozen=True)
@@ -85,16 +79,16 @@ class Sightings:
         return Seen(points[detection, joint], self.image[detection, joint], detection, joint)
 
 
-def sightings_of(rays: Floats, bodies: Floats, least_joints: int = _LEAST_COMPARED) -> Sightings:
+def sightings_of(rays: Floats, bodies: Floats) -> Sightings:
     """Return the detections that a body of their frame has enough joints in common with.
 
     rays: `[frame, instance, joint, 3]` of one camera; bodies: `[frame, body, joint, 3]`.
     """
     image = rays[..., :2] / np.where(rays[..., 2:] > LEAST_FORWARD, rays[..., 2:], np.nan)
-    frame, instance = np.nonzero(np.isfinite(image[..., 0]).sum(-1) >= least_joints)
+    frame, instance = np.nonzero(np.isfinite(image[..., 0]).sum(-1) >= LEAST_JOINTS)
     every = Sightings(frame, instance, image[frame, instance], bodies)
     common = every.joints_in_common().sum(-1).max(-1, initial=0)
-    return every.select(np.flatnonzero(common >= least_joints))
+    return every.select(np.flatnonzero(common >= LEAST_JOINTS))
 
 
 @dataclass(frozen=True)
@@ -110,9 +104,9 @@ class Compared:
 
 
 def compare_projections(
-    projections: Floats, seen: Sightings, tolerance: Floats | float, least_joints: int
+    projections: Floats, seen: Sightings, tolerance: Floats | float
 ) -> Compared:
-    """Return how projections `[projection, 3, 4]` fit the detections.
+    """Return how projections, or poses, `[projection, 3, 4]` fit the detections.
 
     The cost is the mean over joints of q / (1 + q), q = (distance / tolerance)^2: 1 less the weight
     under Cauchy's loss. tolerance: in the image, of all or of each detection `[detection]`.
@@ -122,158 +116,105 @@ def compare_projections(
     image, bodies = np.swapaxes(seen.image, -1, -2), np.swapaxes(seen.bodies, -1, -2)
     tolerance = np.broadcast_to(tolerance, len(seen.frame)).astype(np.float64)
     given = contiguous(projections, seen.frame, image, bodies, tolerance)
-    compare(*given, least_joints, cost, body)
+    compare(*given, LEAST_JOINTS, cost, body)
     return Compared(cost, body)
 
 
 # --- poses
 
 
-def compare_poses(
-    poses: CameraPoses, seen: Sightings, tolerance: Floats | float, least_joints: int
-) -> Compared:
-    """Return how poses fit the detections; see `compare_projections`."""
-    projections = np.concatenate([poses.rotation, poses.translation[..., None]], axis=-1)
-    return compare_projections(projections, seen, tolerance, least_joints)
+def propose_poses(start: Floats, seen: Sightings, config: MovedConfig) -> Floats:
+    """Return a pose, and those that single detections ask for if the camera turned where it is.
 
-
-def costs_of(
-    poses: CameraPoses, seen: Sightings, tolerance: Floats | float, least_joints: int
-) -> Floats:
-    """Return the cost `[pose, detection]` in 0..1 of detections; NaN where nothing is comparable.
-
-    See `compare_projections`.
+    `[pose, 3, 4]` cam_from_world. start: `[3, 4]`, whose centre is kept. Each is the rotation that
+    turns one body as seen from there into one detection of its frame (Kabsch); of several bodies
+    each has its turn.
     """
-    return compare_poses(poses, seen, tolerance, least_joints).cost
-
-
-def propose_poses(start: CameraPoses, seen: Sightings, config: MovedConfig) -> CameraPoses:
-    """Return the poses that single detections ask for, if the camera turned where it stands.
-
-    start: one pose, whose centre is kept. Each is the rotation that turns one body as seen from
-    there into one detection of its frame (Kabsch); of several bodies each has its turn.
-    """
-    some = seen.select(evenly_spaced(np.arange(len(seen.frame)), config.hypotheses))
+    some = seen.select(evenly_spaced(np.arange(len(seen.frame)), 2 * config.stretches))
     common = some.joints_in_common()
-    possible = common.sum(-1) >= config.least_joints
+    possible = common.sum(-1) >= LEAST_JOINTS
     every = np.arange(len(some.frame))
     turn = every % np.maximum(possible.sum(1), 1)
     drawn = (possible & (possible.cumsum(1) == turn[:, None] + 1)).argmax(1)
-    centre = -start.rotation[0].T @ start.translation[0]
+    centre = -start[:, :3].T @ start[:, 3]
     used = common[every, drawn][..., None]
     toward = np.where(used, some.bodies[some.frame, drawn] - centre, 0.0)
     toward /= np.maximum(np.linalg.norm(toward, axis=-1, keepdims=True), 1e-12)
     rotation = nearest_rotation(np.einsum("nji,njk->nik", np.where(used, some.rays, 0.0), toward))
-    return CameraPoses(rotation, -rotation @ centre)
+    proposed = np.concatenate([rotation, -(rotation @ centre)[..., None]], axis=-1)
+    return np.concatenate([start[None], proposed])
 
 
 def refine_poses(
-    poses: CameraPoses,
-    seen: Sightings,
-    *,
-    counted: Bools,
-    tolerances: tuple[float, ...],
-    least_joints: int,
-) -> CameraPoses:
-    """Return poses of least robust cost, each of its own detections; matched again at each step.
+    poses: Floats, seen: Sightings, *, counted: Bools, tolerances: Floats
+) -> tuple[Floats, float]:
+    """Return poses `[pose, 3, 4]` of least robust cost, each of its own detections.
 
+    By a step of Gauss and Newton at each tolerance, to the bodies that fit best before it. The
+    second: the median distance in focal lengths of joints from those of their bodies, before the
+    last step, of the detections that show a body at the first tolerance.
     counted: `[pose, detection]`. tolerances: focal lengths, one for each step.
     """
+    pose, detection = np.nonzero(counted)
+    image, axis = seen.image[detection], np.eye(3)
+    shown = compare_projections(poses, seen, tolerances[0]).cost[pose, detection] < FITS
     for tolerance in tolerances:
-        bodies = compare_poses(poses, seen, tolerance, least_joints).body
-        moved = [
-            fit_camera(_PINHOLE, seen.known_points(body, own), pose, _ROUND, noise=tolerance).pose
-            for pose, body, own in zip(poses.each(), bodies, counted, strict=True)
-        ]
-        poses = CameraPoses(
-            np.stack([pose.rotation for pose in moved]),
-            np.stack([pose.translation for pose in moved]),
-        )
-    return poses
+        body = compare_projections(poses, seen, tolerance).body[pose, detection]
+        points = seen.bodies[seen.frame[detection], body]
+        turned = np.einsum("nij,nkj->nki", poses[pose, :, :3], points)
+        in_camera = turned + poses[pose, None, :, 3]
+        depth = np.where(in_camera[..., 2:] > 0, in_camera[..., 2:], np.nan)
+        at = in_camera[..., :2] / depth
+        error = at - image
+        # how the image moves with the point, a turn of the camera's axes and a shift
+        slope = (axis[:2] - at[..., None] * axis[2]) / depth[..., None]
+        rows = np.concatenate([np.cross(turned[..., None, :], slope), slope], axis=-1)
+        rows = np.concatenate([rows, error[..., None]], axis=-1)
+        weight = 1 / (1 + (error**2).sum(-1) / tolerance**2)
+        rows = np.nan_to_num(rows * np.sqrt(weight)[..., None, None]).reshape(len(pose), -1, 7)
+        blocks = np.zeros((len(poses), 7, 7))
+        np.add.at(blocks, pose, np.swapaxes(rows, 1, 2) @ rows)
+        poses = _moved(poses, blocks)
+    distance = np.linalg.norm(error[shown], axis=-1)
+    return poses, float(np.nanmedian(distance)) if len(distance) else np.inf
 
 
-@dataclass(frozen=True)
-class PoseEquations:
-    """Least squares of a small change of a pose, of each detection: A x = -b.
-
-    normal: `[detection, 6, 6]` A; target: `[detection, 6]` b. square: `[detection]` the weighted
-    squared error.
-    """
-
-    normal: Floats
-    target: Floats
-    square: Floats
-
-
-def linearise(
-    pose: CameraPose, seen: Sightings, tolerance: float, least_joints: int
-) -> PoseEquations:
-    """Return the least-squares problem of a pose, of all detections by the bodies that fit best."""
-    one = CameraPoses(pose.rotation[None], pose.translation[None])
-    body = compare_poses(one, seen, tolerance, least_joints).body[0]
-    known = seen.known_points(body, np.ones(len(body), dtype=bool))
-    found = linearise_camera(_PINHOLE, known, Unknowns(pose, np.zeros(0)), ())
-    _, weight = cauchy_loss(found.residual, tolerance)
-    rows = np.concatenate([found.jacobian, found.residual[None]])
-    total = np.zeros((len(body), POSE + 1, POSE + 1))
-    np.add.at(total, known.block, np.einsum("pcn,qcn,n->npq", rows, rows, weight))
-    # in units that make both halves of the unknowns of one size
-    unit = 1 / np.sqrt(np.maximum(np.diag(total.sum(0)), 1e-300))
-    unit[POSE] = 1.0
-    total *= unit[:, None] * unit
-    return PoseEquations(total[:, :POSE, :POSE], total[:, :POSE, POSE], total[:, POSE, POSE])
-
-
-def typical_error(poses: CameraPoses, seen: Sightings, counted: Bools, least_joints: int) -> float:
-    """Return the median distance in focal lengths of joints from those of their bodies.
-
-    Of each body in a frame the detection counts that is nearest to it: others are of strangers.
-    counted: `[pose, detection]` the detections of each pose.
-    """
-    compared = compare_poses(poses, seen, _UNIT, least_joints)
-    pose, detection = np.nonzero(counted & np.isfinite(compared.cost))
-    body, cost = compared.body[pose, detection], compared.cost[pose, detection]
-    order = np.argsort(cost, kind="stable")
-    same = np.stack([seen.frame[detection], body])[:, order]
-    nearest = order[np.unique(same, axis=1, return_index=True)[1]]
-    pose, detection, body = pose[nearest], detection[nearest], body[nearest]
-    points = seen.bodies[seen.frame[detection], body]
-    in_camera = np.einsum("nij,nkj->nki", poses.rotation[pose], points)
-    in_camera += poses.translation[pose][:, None]
-    image = in_camera[..., :2] / in_camera[..., 2:]
-    return float(np.nanmedian(np.linalg.norm(image - seen.image[detection], axis=-1)))
+def _moved(poses: Floats, blocks: Floats) -> Floats:
+    """Return poses after the steps that solve normal equations `[pose, 7, 7]`, error last."""
+    normal, target = blocks[:, :6, :6], blocks[:, :6, 6:]
+    scale = 1 / np.sqrt(np.maximum(np.einsum("pii->pi", normal), 1e-150))[..., None]
+    scaled = scale * normal * np.swapaxes(scale, 1, 2) + 1e-9 * np.eye(6)
+    step = -(scale * np.linalg.solve(scaled, scale * target))[..., 0]
+    rotation = matrix_from_vector(step[:, :3]) @ poses[..., :3]
+    return np.concatenate([rotation, (poses[..., 3] + step[:, 3:])[..., None]], axis=-1)
 
 
 def find_lost_camera(
     sample: Sample, placed: PlacedCameras, view: int, config: Config
-) -> CameraPose | None:
-    """Return the pose of a camera whose detections match no body, None where nothing shows it.
+) -> Floats | None:
+    """Return the pose `[3, 4]` of a camera that matches no body, None where nothing shows it.
 
     placed: cameras that place bodies; the labels of the view (index) do not count.
     """
     settings = config.moved
     frames = choose_frames(sample, settings.detections, config)
     bodies = place_bodies(sample, placed, frames, config, without=view)
-    seen = sightings_of(sample.rays[view][frames], bodies, settings.least_joints)
+    seen = sightings_of(sample.rays[view][frames], bodies)
     if len(seen.frame) < settings.least_detections:
         return None
-    given = CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
-    poses = given + propose_poses(given, seen, settings)
+    poses = propose_poses(pose_of(placed.rig, view), seen, settings)
     widest = settings.loose * float(np.median(seen.size))
-    cost = np.nanmean(costs_of(poses, seen, widest, settings.least_joints), axis=1)
-    poses = poses[np.argsort(cost, kind="stable")[:_REFINED]]
-    poses = refine_poses(
-        poses,
+    cost = np.nanmean(compare_projections(poses, seen, widest).cost, axis=1)
+    poses, _ = refine_poses(
+        poses[np.argsort(cost, kind="stable")[:_REFINED]],
         seen,
-        counted=np.ones((len(poses), len(seen.frame)), dtype=bool),
-        tolerances=tuple(np.geomspace(widest, widest / 10, settings.steps).tolist()),
-        least_joints=settings.least_joints,
+        counted=np.ones((min(len(poses), _REFINED), len(seen.frame)), dtype=bool),
+        tolerances=np.geomspace(widest, widest / 10, settings.steps),
     )
-    cost = costs_of(poses, seen, widest, settings.least_joints)
+    cost = compare_projections(poses, seen, widest).cost
     best = int(np.nanmean(cost, axis=1).argmin())
-    if (cost[best] < settings.explained).mean() < config.verify.least_matched:
-        return None
-    return poses.each()[best]
+    matched = (cost[best] < FITS).mean()
+    return poses[best] if matched >= config.verify.least_matched else None
 
 
 # --- any projection
@@ -306,9 +247,7 @@ def resect(seen: Sightings, config: ResectionConfig, *, seed: int) -> Resection 
     projections = _draw_projections(scene, config, seed=seed)
     scored = np.isin(scene.frame, evenly_spaced(frames, config.frames_scored))
     part = scene.select(np.flatnonzero(scored))
-    rough = np.nanmean(
-        compare_projections(projections, part, config.tolerance, _LEAST_COMPARED).cost, axis=1
-    )
+    rough = np.nanmean(compare_projections(projections, part, config.tolerance).cost, axis=1)
     chosen = np.argsort(rough, kind="stable")[: config.hypotheses_refined]
     found = [_refine(scene, projections[index], config) for index in chosen]
     best = min(found, key=lambda each: each.cost)
@@ -324,9 +263,9 @@ def match(seen: Sightings, projection: Floats, tolerance: float) -> tuple[Ints, 
 
     tolerance: distance in the image at which a joint costs half.
     """
-    found = compare_projections(projection[None], seen, tolerance, _LEAST_COMPARED)
+    found = compare_projections(projection[None], seen, tolerance)
     cost = np.nan_to_num(found.cost[0], nan=1.0)
-    return np.where(cost < _FITS, found.body[0], -1), float(cost.mean())
+    return np.where(cost < FITS, found.body[0], -1), float(cost.mean())
 
 
 def exchanged_share(seen: Sightings, exchanged: Sightings, resection: Resection) -> float:
@@ -336,13 +275,11 @@ def exchanged_share(seen: Sightings, exchanged: Sightings, resection: Resection)
     as well with both, are not counted.
     """
     given, other = (
-        compare_projections(
-            resection.projection[None], each, resection.tolerance, _LEAST_COMPARED
-        ).cost[0]
+        compare_projections(resection.projection[None], each, resection.tolerance).cost[0]
         for each in (seen, exchanged)
     )
-    as_given = ((given < _FITS) & (given < _CLEARLY * other)).sum()
-    as_other = ((other < _FITS) & (other < _CLEARLY * given)).sum()
+    as_given = ((given < FITS) & (given < _CLEARLY * other)).sum()
+    as_other = ((other < FITS) & (other < _CLEARLY * given)).sum()
     return float(as_other) / max(int(as_given + as_other), 1)
 
 
@@ -370,7 +307,7 @@ def _draw_projections(scene: Sightings, config: ResectionConfig, *, seed: int) -
     picks = rng.random((config.hypotheses, len(first))).argsort(1)[:, : config.frames]
     shape = picks.shape
     detection = first[picks] + (rng.random(shape) * count[picks]).astype(np.int64)
-    possible = scene.joints_in_common().sum(-1) >= _LEAST_COMPARED
+    possible = scene.joints_in_common().sum(-1) >= LEAST_JOINTS
     chance = rng.random((*shape, possible.shape[1])) * possible[detection]
     points = scene.bodies[scene.frame[detection], chance.argmax(-1)]
     points = points.reshape(config.hypotheses, -1, 3)

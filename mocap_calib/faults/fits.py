@@ -7,7 +7,6 @@ import numpy as np
 
 from mocap_calib.adjust.camera_fit import (
     CameraFit,
-    CameraPose,
     Seen,
     fit_camera,
     shift_of_unknowns,
@@ -58,7 +57,7 @@ def fit_hypotheses(
     others: OtherCameras,
     config: Config,
     *,
-    in_rig: CameraPose | None,
+    in_rig: Floats | None,
     seed: int,
 ) -> tuple[list[FittedHypothesis], float]:
     """Return the hypotheses of a view fitted to what it saw of the others' points.
@@ -154,7 +153,7 @@ def _fit_all(
     tried: Sequence[Hypothesis],
     seen: dict[str, Seen],
     source: Ints,
-    found: tuple[dict[bool, Resection], Resection, CameraPose | None],
+    found: tuple[dict[bool, Resection], Resection, Floats | None],
     config: DiagnosisConfig,
 ) -> list[FittedHypothesis]:
     """Return the hypothesis that nothing is wrong, and the others that fit some keypoints best.
@@ -243,18 +242,18 @@ def add_rig_uncertainty(
     return replace(fitted, fit=replace(fitted.fit, covariance=covariance))
 
 
-def _starts(resection: Resection, points: Floats) -> tuple[CameraPose, CameraPose]:
-    """Return the pose of a resection, and the one of which a distant camera sees the same.
+def _starts(resection: Resection, points: Floats) -> tuple[Floats, Floats]:
+    """Return the pose `[3, 4]` of a resection, and the one of which a distant camera sees the same.
 
     The second looks from the opposite side at what is mirrored: where perspective is weak, one
     passes for the other (the reversal of Necker's cube).
     """
-    found = CameraPose(*decompose_projection(resection.projection)[1:])
+    _, rotation, translation = decompose_projection(resection.projection)
     middle = np.median(points, axis=0)
-    opposite = np.diag([-1.0, 1.0, -1.0]) @ found.rotation
-    seen = found.rotation @ middle + found.translation
-    translation = seen * np.array([-1.0, 1.0, 1.0]) - opposite @ middle
-    return found, CameraPose(opposite, translation)
+    opposite = np.diag([-1.0, 1.0, -1.0]) @ rotation
+    seen = (rotation @ middle + translation) * np.array([-1.0, 1.0, 1.0])
+    found = np.column_stack([rotation, translation])
+    return found, np.column_stack([opposite, seen - opposite @ middle])
 
 
 def _costs(fit: CameraFit, noise: float) -> Floats:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import CameraPose, Seen, Unknown, fit_camera
+from mocap_calib.adjust.camera_fit import Seen, Unknown, fit_camera, pose_of
 from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config, DiagnosisConfig
@@ -158,9 +158,8 @@ def _evidence_of_intrinsics(
 ) -> float:
     """Return the log evidence (nats) for other intrinsics than sound ones, all at once."""
     camera = rig.cameras[view]
-    start = CameraPose(rig.rotation[view], rig.translation[view])
     rough = config.focal_noise * camera.focal
-    fit = fit_camera(camera, known, start, config.fit, noise=rough, free=_FREE)
+    fit = fit_camera(camera, known, pose_of(rig, view), config.fit, noise=rough, free=_FREE)
     size = np.array(camera.size) if all(camera.size) else np.full(2, 2 * camera.focal)
     sound = np.array([config.sound_focal, *(config.sound_centre * size)])
     faulty = np.array([config.faulty_focal, *(config.faulty_centre * size)])
@@ -274,15 +273,15 @@ def _build(observed: Observed, config: Config) -> OtherCameras:
     )
 
 
-def pose_beside(others: CameraRig, rig: CameraRig, name: str) -> CameraPose:
-    """Return the pose of a camera of a rig in the world of other cameras, all of the same rig."""
+def pose_beside(others: CameraRig, rig: CameraRig, name: str) -> Floats:
+    """Return the pose `[3, 4]` of a camera in the world of others, all of the same rig."""
     view, same = rig.names.index(name), [rig.names.index(other) for other in others.names]
     turn = nearest_rotation(np.einsum("vji,vjk->ik", others.rotation, rig.rotation[same]))
     theirs, ours = others.centres, rig.centres[same] @ turn.T
     scale = np.linalg.norm(theirs - theirs.mean(0)) / np.linalg.norm(ours - ours.mean(0))
     centre = theirs.mean(0) + scale * (turn @ rig.centres[view] - ours.mean(0))
     rotation = rig.rotation[view] @ turn.T
-    return CameraPose(rotation, -rotation @ centre)
+    return np.column_stack([rotation, -rotation @ centre])
 
 
 def bent_points(others: OtherCameras, config: Config) -> list[tuple[float, Floats]]:

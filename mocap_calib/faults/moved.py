@@ -1,24 +1,32 @@
 """Find a camera that was bumped or moved during the recording, and the frames.
 
 A camera that was moved bends the rig of all, so it is judged by bodies that the others place:
-first, cheaply, by the rig of all without its rays; then, where its errors change at some moment,
-by its leave-one-out rig. Its errors over time tell the rest (`changes`).
+first by the rig of all without its rays; then, where its errors change at some moment, by its
+leave-one-out rig.
+
+Its detections are divided into stretches of time, each of which asks for a pose. With one pose for
+each epoch, of one stretch or more, the errors of a camera that was moved fall at once to those of a
+camera that was not. Errors that drift with the subject, by the lens or a wrong focal length, fall
+bit by bit with each further epoch: a change is believed where it explains far more than one more
+change would (optimal segmentation, Bai and Perron 2003).
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import CameraPoses
-from mocap_calib.adjust.resection import Sightings, sightings_of
-from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import VERDICT_LIMITS_DEG, Config
-from mocap_calib.faults.changes import (
-    Epochs,
-    change_at_a_glance,
-    find_epochs,
-    last_moments,
+from mocap_calib.adjust.camera_fit import pose_of
+from mocap_calib.adjust.resection import (
+    FITS,
+    Sightings,
+    compare_projections,
+    propose_poses,
+    refine_poses,
+    sightings_of,
 )
+from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.config import DECISIVE_NATS, VERDICT_LIMITS_DEG, Config, MovedConfig
 from mocap_calib.faults.compare import Alternative
 from mocap_calib.faults.leave_one_out import OtherCameras, leave_out, pose_beside
 from mocap_calib.geometry.rotation import angle_between, rig_size
@@ -27,8 +35,8 @@ from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.recording.timeline import own_name
 from mocap_calib.results import Fault, GroupResult, Matches
 from mocap_calib.rig.observed import Look, Observed, PlacedCameras, choose_frames, place_bodies
-from mocap_calib.rig.tracks import per_frame_labels
-from mocap_calib.types import CameraRig, Ints, Recording
+from mocap_calib.rig.tracks import MEDIAN_DISTANCE, per_frame_labels
+from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
 _GLANCED_DETECTIONS = 120  # of one camera, for a first look
 _CANDIDATES = 3  # cameras that are held against their leave-one-out rig
@@ -36,19 +44,27 @@ _NEAR_DETECTIONS = 5  # on either side, among which the frame of a change is loo
 
 
 @dataclass(frozen=True)
-class _Changed:
-    """A view with the epochs of its pose.
+class Epochs:
+    """Poses that a camera had one after the other.
 
-    view: its index. frames: `[detection]` indices into the recording. others: its leave-one-out
-    rig, which has the views `members` (indices). evidence: of its changes, in nats.
+    bounds: `[epoch + 1]` index of the first detection of each, and how many there are.
+    poses: `[epoch, 3, 4]` cam_from_world. tolerance: focal lengths, of an error.
     """
 
-    view: int
-    epochs: Epochs
-    frames: Ints
-    others: OtherCameras
-    members: Ints
-    evidence: float
+    bounds: Ints
+    poses: Floats
+    tolerance: float
+
+    @property
+    def starts(self) -> Ints:
+        """`[change]` index of the first detection of each epoch but the first."""
+        return self.bounds[1:-1]
+
+    def costs(self, seen: Sightings) -> Floats:
+        """Return the cost `[detection]` of each detection under the pose of its epoch."""
+        cost = compare_projections(self.poses, seen, self.tolerance).cost
+        epoch = np.repeat(np.arange(len(self.poses)), np.diff(self.bounds))
+        return cost[epoch, np.arange(len(epoch))]
 
 
 def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -> list[Alternative]:
@@ -73,18 +89,40 @@ def _screen(observed: Observed, placed: PlacedCameras, config: Config) -> list[i
     look = Look.at(
         observed.sample, placed, choose_frames(observed.sample, _GLANCED_DETECTIONS, config)
     )
+    noise = least_noise(observed, config)
 
     def glance(view: int) -> float:
-        """Return how much a view stands out."""
+        """Return the evidence of a change of a view."""
         bodies = look.place(placed, config, without=view)
-        rays = observed.sample.rays[view][look.frames]
-        seen = sightings_of(rays, bodies, config.moved.least_joints)
-        pose = CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
-        return change_at_a_glance(pose, seen, config.moved)
+        seen = sightings_of(observed.sample.rays[view][look.frames], bodies)
+        found = segment(pose_of(placed.rig, view), seen, config.moved, noise[view])
+        return choose_epochs(found, seen, config.moved, least=0.0)[1]
 
     scores = np.array(list(map_in_threads(glance, range(len(placed.rig)))))
     order = np.argsort(-scores, kind="stable")[:_CANDIDATES]
-    return [int(view) for view in order if scores[view] > 1]
+    return [int(view) for view in order if scores[view] > 0]
+
+
+def least_noise(observed: Observed, config: Config) -> Floats:
+    """Return the error `[view]` in focal lengths below which no detector is."""
+    focal = np.array([camera.focal for camera in observed.sample.cameras])
+    return config.triangulate.least_noise_px / focal
+
+
+@dataclass(frozen=True)
+class _Changed:
+    """A view with the epochs of its pose.
+
+    view: its index. frames: `[detection]` indices into the recording. others: its leave-one-out
+    rig, which has the views `members` (indices). evidence: of its changes, in nats.
+    """
+
+    view: int
+    epochs: Epochs
+    frames: Ints
+    others: OtherCameras
+    members: Ints
+    evidence: float
 
 
 def _find_changes(observed: Observed, rig: CameraRig, view: int, config: Config) -> _Changed | None:
@@ -99,22 +137,127 @@ def _find_changes(observed: Observed, rig: CameraRig, view: int, config: Config)
     sample, names = observed.sample, observed.recording.names
     frames = choose_frames(sample, config.moved.detections, config)
     bodies = place_bodies(others.sample, others.placed, frames, config)
-    seen = sightings_of(sample.rays[view][frames], bodies, config.moved.least_joints)
-    if len(seen.frame) < 2 * config.moved.least_detections:
-        return None
+    seen = sightings_of(sample.rays[view][frames], bodies)
     pose = pose_beside(others.rig, rig, names[view])
-    epochs, evidence = find_epochs(
-        CameraPoses(pose.rotation[None], pose.translation[None]),
-        seen,
-        config.moved,
-        least_noise=config.triangulate.least_noise_px / sample.cameras[view].focal,
-    )
+    epochs, evidence = find_epochs(pose, seen, config.moved, least_noise(observed, config)[view])
     if not evidence:
         return None
     members = np.array([names.index(name) for name in others.rig.names])
     return _Changed(
         view, epochs, observed.sample_frames[frames[seen.frame]], others, members, evidence
     )
+
+
+# --- the epochs of a camera
+
+
+def find_epochs(
+    start: Floats, seen: Sightings, config: MovedConfig, noise: float
+) -> tuple[Epochs, float]:
+    """Return the epochs of a camera, and the evidence (nats) of their changes.
+
+    There is one epoch, and no evidence, where the evidence of no change is decisive.
+
+    start: the pose `[3, 4]` in the rig. noise: focal lengths, below which no detector is.
+    """
+    found = segment(start, seen, config, noise)
+    return choose_epochs([_refine(each, seen, config) for each in found], seen, config)
+
+
+def segment(start: Floats, seen: Sightings, config: MovedConfig, noise: float) -> list[Epochs]:
+    """Return the best epochs with 0, 1, 2, ... changes, as stretches of time ask for their poses.
+
+    With none where there are too few detections. Arguments: see `find_epochs`.
+    """
+    detections = len(seen.frame)
+    stretches = min(config.stretches, detections // config.least_detections)
+    if stretches < 2:
+        return [Epochs(np.array([0, detections]), start[None], noise)]
+    bounds = np.linspace(0, detections, stretches + 1).astype(np.int64)
+    loose = config.loose * float(np.median(seen.size))
+    proposed = propose_poses(start, seen, config)
+    best, _ = _cheapest(proposed, seen, config.loose * seen.size, bounds)
+    own = np.repeat(np.eye(stretches, dtype=bool), np.diff(bounds), axis=1)
+    poses, error = refine_poses(
+        proposed[best[np.arange(stretches), np.arange(1, stretches + 1)]],
+        seen,
+        counted=own,
+        tolerances=np.geomspace(loose, loose / 10, config.steps),
+    )
+    tolerance = config.tolerance_noises * max(error / MEDIAN_DISTANCE, noise)
+    poses = np.concatenate([start[None], poses])
+    best, cost = _cheapest(poses, seen, tolerance, bounds)
+    found = []
+    for changes in range(min(config.most_changes + 2, stretches)):
+        ends = np.array([*combinations(range(1, stretches), changes)], dtype=np.int64)
+        ends = np.pad(ends, ((0, 0), (1, 1)), constant_values=(0, stretches))
+        ends = ends[cost[ends[:, :-1], ends[:, 1:]].sum(1).argmin()]
+        found.append(Epochs(bounds[ends], poses[best[ends[:-1], ends[1:]]], tolerance))
+    return found
+
+
+def _cheapest(
+    poses: Floats, seen: Sightings, tolerance: Floats | float, bounds: Ints
+) -> tuple[Ints, Floats]:
+    """Return the pose (index) of least cost between two bounds, and the cost.
+
+    Both `[first, last]`. bounds: indices of detections.
+    """
+    cost = np.nan_to_num(compare_projections(poses, seen, tolerance).cost)
+    total = np.pad(cost.cumsum(1), ((0, 0), (1, 0)))[:, bounds]
+    between = total[:, None] - total[:, :, None]
+    return between.argmin(0), between.min(0)
+
+
+def _refine(epochs: Epochs, seen: Sightings, config: MovedConfig) -> Epochs:
+    """Return the poses of least cost, and the moments between them where it is least."""
+    bounds, poses, tolerance = epochs.bounds.copy(), epochs.poses, epochs.tolerance
+    every, least = np.arange(len(seen.frame)), bounds[-1] // config.stretches
+    for _ in range(2):
+        own = (bounds[:-1, None] <= every) & (every < bounds[1:, None])
+        widths = np.geomspace(3 * tolerance, tolerance, config.steps)
+        poses, _ = refine_poses(poses, seen, counted=own, tolerances=widths)
+        cost = np.nan_to_num(compare_projections(poses, seen, tolerance).cost)
+        for k in range(1, len(poses)):
+            first, last = bounds[k - 1] + least, bounds[k + 1] - least
+            total = (cost[k - 1] - cost[k]).cumsum()
+            bounds[k] = first + total[first - 1 : last].argmin()
+    return Epochs(bounds, poses, tolerance)
+
+
+def choose_epochs(
+    found: list[Epochs], seen: Sightings, config: MovedConfig, *, least: float = DECISIVE_NATS
+) -> tuple[Epochs, float]:
+    """Return the epochs that are accepted, of those with 0, 1, 2, ... changes, and their evidence.
+
+    Detections count that one of them explains: the others are of strangers. least: evidence, nats.
+    """
+    costs = np.array([epochs.costs(seen) for epochs in found])
+    explained = costs[:, (costs < FITS).any(0)]
+    changes, evidence = choose_number(explained.sum(1), explained.shape[1], config, least)
+    return found[changes], evidence
+
+
+def choose_number(
+    costs: Floats, detections: int, config: MovedConfig, least: float = DECISIVE_NATS
+) -> tuple[int, float]:
+    """Return how many changes are accepted, and their evidence (nats).
+
+    A change that lowers the cost of n detections by a share g has n g / 2 nats (a profile
+    likelihood), divided by what one more change would seem to have: errors that drift with the
+    subject are no independent errors, and they fall bit by bit. Each change pays for the choice of
+    its moment among the stretches, each as likely beforehand.
+
+    costs: `[change]` of 0, 1, 2, ... changes, of so many detections.
+    """
+    gains = np.maximum(costs[:-1] / np.maximum(costs[1:], 1e-12) - 1, 0.0) * detections
+    for changes in range(min(len(gains), config.most_changes), 0, -1):
+        further = max(1.0, float(gains[changes:].max(initial=0.0)))
+        gain = min(float(gains[:changes].min()), float(gains[changes - 1]) / further)
+        evidence = gain / 2 - float(np.log(config.stretches))
+        if evidence > least:
+            return changes, evidence
+    return 0, 0.0
 
 
 # --- the frame, and the fault
@@ -126,8 +269,8 @@ def _describe_changes(
     """Return a fault for each change of a view that is large enough to matter."""
     recording, poses = observed.recording, changed.epochs.poses
     name = own_name(recording.names[changed.view], recording.names)
-    centres = -np.einsum("pji,pj->pi", poses.rotation, poses.translation)
-    angles = np.rad2deg(angle_between(poses.rotation[:-1], poses.rotation[1:])).tolist()
+    centres = -np.einsum("pji,pj->pi", poses[..., :3], poses[..., 3])
+    angles = np.rad2deg(angle_between(poses[:-1, :, :3], poses[1:, :, :3])).tolist()
     shifts = np.linalg.norm(np.diff(centres, axis=0), axis=1) / rig_size(changed.others.rig)
     faults = []
     for change, (angle, shift) in enumerate(zip(angles, shifts.tolist(), strict=True)):
@@ -164,13 +307,24 @@ def _find_frame(
         seen = _sightings_in(recording, matches, changed, frames, config)
         if len(seen.frame) < 2:
             return found
-        before, after = last_moments(pair, seen, changed.epochs.tolerance, config.moved)
+        before, after = last_moments(pair, seen, changed.epochs.tolerance)
         found = int(frames[after])
         margin = (last - first) // len(frames)
         closer = max(first, int(frames[before]) - margin), min(last, found + margin)
         if len(frames) == last - first + 1 or closer == (first, last):
             return found
         first, last = closer
+
+
+def last_moments(pair: Floats, seen: Sightings, tolerance: float) -> tuple[int, int]:
+    """Return the last frame (index) that shows the pose before a change, and the first after it.
+
+    pair: `[2, 3, 4]` the poses before and after.
+    """
+    cost = np.nan_to_num(compare_projections(pair, seen, tolerance).cost)
+    total = np.concatenate([[0.0], (cost[0] - cost[1]).cumsum()])
+    moment = int(np.clip(total.argmin(), 1, len(seen.frame) - 1))
+    return int(seen.frame[moment - 1]), int(seen.frame[moment])
 
 
 def _sightings_in(
@@ -183,4 +337,4 @@ def _sightings_in(
     placed = PlacedCameras(others.rig, labels, others.placed.noise)
     bodies = place_bodies(part, placed, np.arange(len(frames)), config)
     own = take_sample(recording.select(views=[changed.view], frames=frames), slice(None))
-    return sightings_of(own.rays[0], bodies, config.moved.least_joints)
+    return sightings_of(own.rays[0], bodies)

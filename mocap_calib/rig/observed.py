@@ -111,7 +111,7 @@ def choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:
     detections = sample.detected.sum(2)  # [view, frame]
     usual = max(1.0, float(detections.mean()))
     views = max(1.0, len(detections) / 8)
-    count = max(config.moved.least_frames, round(wanted / usual / views))
+    count = max(2 * config.moved.stretches, round(wanted / usual / views))
     return evenly_spaced(np.arange(len(sample.frames)), count)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import CameraPose, KnownPoints, median_error, place_points
+from mocap_calib.adjust.camera_fit import KnownPoints, median_error, place_points, pose_of
 from mocap_calib.adjust.covariance import cautious_covariances, covariance_of, fit_again
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.resection import find_lost_camera
@@ -49,6 +49,7 @@ from mocap_calib.types import (
     Bools,
     Camera,
     CameraRig,
+    Floats,
     Ints,
     Progress,
     Recording,
@@ -143,8 +144,7 @@ def verify_rig(
     )
     verdict = assess_calibration(cameras, change, covariance, given.names)
     for place, view in enumerate(views.tolist()):
-        pose = CameraPose(refitted.rotation[place], refitted.translation[place])
-        rig = _with_camera(rig, view, refitted.cameras[place], pose)
+        rig = _with_camera(rig, view, refitted.cameras[place], pose_of(refitted, place))
     return Verification(
         cameras=cameras,
         verdict=verdict.word,
@@ -228,10 +228,9 @@ def _refit(sample: Sample, placed: PlacedCameras, change: RigChange, config: Con
     rig, now = given, change.refitted
     known = place_points(sample, placed, np.flatnonzero(~change.moved), config)
     for view in moved.tolist():
-        there = CameraPose(now.rotation[view], now.translation[view])
-        here = CameraPose(given.rotation[view], given.translation[view])
-        elsewhere = _with_camera(rig, view, given.cameras[view], there)
-        zoomed = _with_camera(rig, view, _zoomed(known, given, view, config), here)
+        elsewhere = _with_camera(rig, view, given.cameras[view], pose_of(now, view))
+        camera = _zoomed(known, given, view, config)
+        zoomed = _with_camera(rig, view, camera, pose_of(given, view))
         error, other = (median_error(known, each, view, config) for each in (elsewhere, zoomed))
         rig = zoomed if other <= config.uncertainty.same_misfit * error else elsewhere
     return rig
@@ -255,10 +254,10 @@ def _zoomed(known: KnownPoints, rig: CameraRig, view: int, config: Config) -> Ca
     return change_intrinsics(camera, log_focal=float(np.log(factor)), k1=0.0)
 
 
-def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: CameraPose) -> CameraRig:
-    """Return the rig with one camera elsewhere."""
+def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: Floats) -> CameraRig:
+    """Return the rig with one camera elsewhere, at a pose `[3, 4]`."""
     rotation, translation = rig.rotation.copy(), rig.translation.copy()
-    rotation[view], translation[view] = pose.rotation, pose.translation
+    rotation[view], translation[view] = pose[:, :3], pose[:, 3]
     cameras = (*rig.cameras[:view], camera, *rig.cameras[view + 1 :])
     return replace(rig, cameras=cameras, rotation=rotation, translation=translation)
 

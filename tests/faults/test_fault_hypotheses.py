@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import calibrate_all, recording, rotation_errors_deg, scene
 
-from mocap_calib.adjust.camera_fit import CameraFit, CameraPose
+from mocap_calib.adjust.camera_fit import CameraFit
 from mocap_calib.config import DECISIVE_NATS, Config, DiagnosisConfig, MendConfig
 from mocap_calib.faults import leave_one_out
 from mocap_calib.faults.compare import find_exchanged_cameras
@@ -174,7 +174,7 @@ def test_images_are_resized_by_plain_factors():
 
 def fit_of(unknowns, sigma, keypoints=1000) -> CameraFit:
     return CameraFit(
-        pose=CameraPose(np.eye(3), np.zeros(3)),
+        pose=np.eye(3, 4),
         unknowns=np.array(unknowns, float),
         covariance=np.diag(np.array(sigma, float) ** 2),
         error=np.ones(keypoints),
