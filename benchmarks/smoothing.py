@@ -32,7 +32,7 @@ from mocap_calib.lift.lifter import AUTO, choose_model, load_vocabulary
 from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import Matches
-from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig import gather_tracks
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import CameraRig, Floats, Recording
 

@@ -19,7 +19,7 @@ from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.group import REVERSED_RIG, write_group
 from mocap_calib.report import _of_pairs, run_report, verdict_of_cameras
 from mocap_calib.results import FAULT_WORDS, CalibrationResult, Clocks, TimeOffsets
-from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig import gather_tracks
 from mocap_calib.verdict.verdict import assess
 from mocap_calib_cli.ending import camera_table, describe_group
 

@@ -15,7 +15,7 @@ from mocap_calib.config import Config, SampleConfig, TriangulateConfig
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.recording.sampling import take_sample
-from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig import gather_tracks
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.training import on_device
 from mocap_calib.types import silent

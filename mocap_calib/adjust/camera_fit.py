@@ -19,9 +19,8 @@ from mocap_calib.config import CameraFitConfig, Config
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig.observed import PlacedCameras
-from mocap_calib.rig.tracks import gather_tracks, labelled_frames
-from mocap_calib.rig.triangulate import triangulate_rays
+from mocap_calib.rig import gather_tracks, labelled_frames
+from mocap_calib.rig.triangulate import PlacedCameras, triangulate_rays
 from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints, Sample
 
 Unknown = Literal["log_scale", "x", "y", "log_focal"]

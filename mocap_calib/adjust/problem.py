@@ -13,7 +13,7 @@ from mocap_calib.geometry.intersection import order_by_views
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches
-from mocap_calib.rig.tracks import (
+from mocap_calib.rig import (
     Tracks,
     gather_tracks,
     labelled_frames,

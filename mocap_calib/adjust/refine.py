@@ -12,9 +12,9 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import points_in_cameras, project_views
 from mocap_calib.geometry.rotation import angle_between, with_size_of
 from mocap_calib.results import Adjusted, LiftedPoses, Matches
+from mocap_calib.rig import Tracks, gather_tracks, labelled_frames, measure_residuals
 from mocap_calib.rig.associate import associate, have_same_groups
 from mocap_calib.rig.averaging import factorise, label_single_subject
-from mocap_calib.rig.tracks import Tracks, gather_tracks, labelled_frames, view_residual
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Progress, Sample, silent
 
@@ -194,7 +194,7 @@ class Fit:
 
 def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Fit:
     """Return how well the rig fits the matched detections in all frames of the sample."""
-    noise = view_residual(sample, rig, matches, config.triangulate)
+    noise, _ = measure_residuals(sample, rig, matches, config.triangulate)
     seen, points, error = measure_distances(sample, rig, matches, noise, config)
     counted = (seen.weight > 0) & np.isfinite(points[0])
     # rays of two views meet nearly, whatever they show

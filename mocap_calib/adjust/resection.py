@@ -25,7 +25,7 @@ from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.kernels.resection import compare
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig.observed import PlacedCameras, choose_frames, place_bodies
+from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.types import Bools, Floats, Ints, Sample
 
 _REFINED = 8  # poses that are refined, of those that single detections ask for

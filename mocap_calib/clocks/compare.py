@@ -21,7 +21,7 @@ from mocap_calib.kernels.jit import contiguous
 from mocap_calib.pairs.search import well_separated
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import LiftedPoses, Matches
-from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig import gather_tracks
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
 Singles = NDArray[np.float32]

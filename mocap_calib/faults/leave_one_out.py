@@ -19,22 +19,16 @@ from mocap_calib.geometry.rotation import changed_rig, nearest_rotation
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, Matches, RigCovariance
-from mocap_calib.rig.associate import associate
-from mocap_calib.rig.averaging import average, camera_groups
-from mocap_calib.rig.observed import (
-    Observed,
-    PlacedCameras,
-    leave_out_underconstrained,
-    place_bodies,
-)
-from mocap_calib.rig.tracks import (
+from mocap_calib.rig import (
     Tracks,
     gather_tracks,
     labelled_frames,
     view_noise,
 )
-from mocap_calib.rig.triangulate import triangulate_rays
-from mocap_calib.rig.view_graph import takes_all_pairs
+from mocap_calib.rig.associate import associate
+from mocap_calib.rig.averaging import average, camera_groups
+from mocap_calib.rig.triangulate import PlacedCameras, place_bodies, triangulate_rays
+from mocap_calib.rig.view_graph import Observed, leave_out_underconstrained, takes_all_pairs
 from mocap_calib.types import POSE, Bools, CameraRig, Floats, Ints, Sample, silent
 
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")

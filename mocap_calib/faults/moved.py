@@ -34,8 +34,9 @@ from mocap_calib.recording.corrections import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.recording.timeline import own_name
 from mocap_calib.results import Fault, GroupResult, Matches
-from mocap_calib.rig.observed import Look, Observed, PlacedCameras, choose_frames, place_bodies
-from mocap_calib.rig.tracks import MEDIAN_DISTANCE, per_frame_labels
+from mocap_calib.rig import MEDIAN_DISTANCE, gather_tracks, per_frame_labels
+from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
+from mocap_calib.rig.view_graph import Observed
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
 _GLANCED_DETECTIONS = 120  # of one camera, for a first look
@@ -86,15 +87,15 @@ def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -
 
 def _screen(observed: Observed, placed: PlacedCameras, config: Config) -> list[int]:
     """Return the views whose errors change at some moment, the most suspicious first."""
-    look = Look.at(
-        observed.sample, placed, choose_frames(observed.sample, _GLANCED_DETECTIONS, config)
-    )
+    sample = observed.sample
+    frames = choose_frames(sample, _GLANCED_DETECTIONS, config)
+    tracks = gather_tracks(sample, placed.matches, frames)
     noise = least_noise(observed, config)
 
     def glance(view: int) -> float:
         """Return the evidence of a change of a view."""
-        bodies = look.place(placed, config, without=view)
-        seen = sightings_of(observed.sample.rays[view][look.frames], bodies)
+        bodies = place_bodies(sample, placed, frames, config, seen=tracks, without=view)
+        seen = sightings_of(sample.rays[view][frames], bodies)
         found = segment(pose_of(placed.rig, view), seen, config.moved, noise[view])
         return choose_epochs(found, seen, config.moved, least=0.0)[1]
 

@@ -15,7 +15,6 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import mean_of_known
@@ -30,8 +29,8 @@ from mocap_calib.identities.pieces import (
 )
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches
-from mocap_calib.rig.tracks import name_groups, per_frame_labels, replace_labels, view_noise
-from mocap_calib.rig.triangulate import frame_blocks, triangulate_frames
+from mocap_calib.rig import Tracks, name_groups, per_frame_labels, replace_labels, view_noise
+from mocap_calib.rig.triangulate import triangulate_blocks
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
 _LAGS = (1, 4, 16, 64)  # frames after which it is measured how far bodies go
@@ -79,19 +78,11 @@ def _triangulate_groups(
     # lie apart, as the parts have them
     points = mapped.empty((3, len(recording.frames), groups.individuals, joints))
 
-    def locate(frames: Ints) -> None:
-        _, found, _ = triangulate_frames(
-            frames,
-            recording=recording,
-            rig=rig,
-            matches=groups,
-            noise=noise,
-            config=config.triangulate,
-        )
+    def keep(frames: Ints, _: Tracks, found: Floats, __: Bools) -> None:
         points[:, mapped.as_slice(frames)] = found.reshape(3, len(frames), -1, joints)
 
-    blocks = frame_blocks(len(recording.frames), groups.individuals * joints)
-    for _ in map_in_threads(locate, blocks):
+    settings = config.triangulate
+    for _ in triangulate_blocks(recording, rig, groups, keep, noise=noise, config=settings):
         mapped.let_go()
     return np.moveaxis(points, 0, -1)
 

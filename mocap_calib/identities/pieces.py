@@ -18,8 +18,8 @@ from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LEAST_JOINTS, MatchingConfig
 from mocap_calib.geometry.graphs import connected_parts, spanning_tree
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.rig import replace_labels
 from mocap_calib.rig.associate import LogRatio, measure_log_ratio
-from mocap_calib.rig.tracks import replace_labels
 from mocap_calib.types import Bools, Floats, Ints
 
 SAMPLE = 2000  # groups that scales and spreads are measured on

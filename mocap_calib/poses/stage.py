@@ -31,7 +31,7 @@ from mocap_calib.poses.track import (
 )
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import GroupResult, Matches, Poses3D, Smoothing
-from mocap_calib.rig.tracks import gather_tracks, view_noise
+from mocap_calib.rig import gather_tracks, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, silent
 
 # of normal vectors in space, in standard deviations of a coordinate

@@ -15,7 +15,7 @@ from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import PosesConfig
 from mocap_calib.geometry.lens import rays_in_world
 from mocap_calib.results import POINT_SOURCES, Poses3D
-from mocap_calib.rig.tracks import Tracks
+from mocap_calib.rig import Tracks
 from mocap_calib.types import Bools, CameraRig, Floats, Ints
 
 _TRIANGULATED = POINT_SOURCES.index("triangulated")

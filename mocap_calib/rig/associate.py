@@ -20,7 +20,7 @@ from mocap_calib.pairs.affinity import epipolar_affinity
 from mocap_calib.pairs.view_pair import distances, distances_by_size
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.results import LiftedPoses, Matches
-from mocap_calib.rig.tracks import per_frame_labels
+from mocap_calib.rig import per_frame_labels
 from mocap_calib.types import CameraRig, Floats, Ints, Progress, Recording, Sample
 
 # pairs of detections grouped at a time, and in the frames that the likelihood ratio is measured on.

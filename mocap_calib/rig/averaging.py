@@ -17,7 +17,7 @@ distance leave the rotation between them open; three determine it, up to a rever
 for, if it speaks.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from mocap_calib.geometry.rotation import (
     vector_from_matrix,
 )
 from mocap_calib.results import Averaged, Matches, PairwiseCalibration
-from mocap_calib.rig.tracks import gather_tracks
+from mocap_calib.rig import gather_tracks
 from mocap_calib.rig.view_graph import count_triangles
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Sample
 
@@ -91,26 +91,6 @@ def camera_groups(
             "check that the files belong to these cameras and to the same time"
         )
     return tuple(sorted(groups, key=lambda views: (-len(views), views[0])))
-
-
-def pairs_among(
-    pairs: tuple[PairwiseCalibration, ...], cameras: Ints
-) -> tuple[PairwiseCalibration, ...]:
-    """Return the pairs among some cameras, renumbered to the order of these.
-
-    cameras: `[view]` indices.
-    """
-    place = {int(camera): k for k, camera in enumerate(cameras)}
-    return tuple(
-        replace(
-            pair,
-            a=place[pair.a],
-            b=place[pair.b],
-            alternatives=pairs_among(pair.alternatives, cameras),
-        )
-        for pair in pairs
-        if pair.a in place and pair.b in place
-    )
 
 
 def _trusted_pairs(

@@ -1,13 +1,15 @@
 """Triangulate poses of individuals, tracks, and single pixels from the rays of many views."""
 
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
-from mocap_calib.config import TriangulateConfig
+from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import (
@@ -20,11 +22,28 @@ from mocap_calib.geometry.intersection import (
 )
 from mocap_calib.geometry.lens import agreeing_views, rays_in_world, reprojection_error
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.results import Matches, ObservedPoints, Poses3D
-from mocap_calib.rig.tracks import Tracks, gather_tracks, least_noise, measure_errors, view_noise
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Reals, Recording, silent
+from mocap_calib.results import GroupResult, Matches, ObservedPoints, Poses3D
+from mocap_calib.rig import (
+    Tracks,
+    gather_tracks,
+    noise_of_rays,
+    per_frame_labels,
+    view_noise,
+)
+from mocap_calib.rig.view_graph import Observed
+from mocap_calib.types import (
+    Bools,
+    CameraRig,
+    Floats,
+    Ints,
+    Progress,
+    Reals,
+    Recording,
+    Sample,
+    silent,
+)
 
-_LEAST_POINTS = 30  # of a view: with fewer, the noise of all views together is taken
+T = TypeVar("T")
 
 
 @single_threaded_libraries()
@@ -57,27 +76,29 @@ def triangulate(
     }
     noise = view_noise(recording, rig, matches, config)
 
-    def work(block: Ints) -> None:
-        part = _triangulate_block(
-            block, recording=recording, rig=rig, matches=matches, noise=noise, config=config
-        )
-        for name, array in found.items():
-            array[mapped.as_slice(block)] = getattr(part, name)
+    def keep(frames: Ints, seen: Tracks, points: Floats, used: Bools) -> None:
+        """Keep what is found in some frames."""
+        views, weight = used.sum(0), seen.weight * used
+        parts: dict[str, NDArray[Any]] = {
+            "positions": points.T,
+            "error": reprojection_error(rig, points, pixels=seen.pixels, used=used),
+            "views": views,
+            "confidence": weight.sum(0) / np.maximum(views, 1),
+            "covariance": _covariance(rig, points, seen.rays, weight=weight, noise=noise).T,
+        }
+        for name, part in parts.items():
+            whole = found[name]
+            whole[mapped.as_slice(frames)] = part.reshape(len(frames), *whole.shape[1:])
 
-    blocks = frame_blocks(frames, matches.individuals * keypoints)
-    for block, _ in zip(blocks, map_in_threads(work, blocks), strict=True):
+    for block, _ in triangulate_blocks(recording, rig, matches, keep, noise=noise, config=config):
         mapped.let_go()
         progress("triangulate", int(block[-1]) + 1, frames)
     return Poses3D(
         keypoints=recording.keypoints,
         frames=recording.frames,
-        positions=found["positions"],
-        error=found["error"],
-        views=found["views"],
-        confidence=found["confidence"],
         unit=rig.unit,
-        covariance=found["covariance"],
         world=rig.world,
+        **found,
     )
 
 
@@ -93,17 +114,16 @@ def observe_points(
     """
     noise = view_noise(recording, rig, matches, config)
 
-    def observe(block: Ints) -> tuple[Floats, Ints, Ints, Floats]:
+    def observe(
+        _: Ints, seen: Tracks, points: Floats, used: Bools
+    ) -> tuple[Floats, Ints, Ints, Floats]:
         """Return points `[n, 3]`, and the view, the point and the pixels of each detection."""
-        seen, points, used = triangulate_frames(
-            block, recording=recording, rig=rig, matches=matches, noise=noise, config=config
-        )
         known = np.isfinite(points[0])
         view, point = np.nonzero(used[:, known])
         return points[:, known].T, view, point, seen.pixels[:, :, known][view, :, point]
 
-    blocks = frame_blocks(len(recording.frames), matches.individuals * len(recording.keypoints))
-    positions, view, point, pixels = zip(*map_in_threads(observe, blocks), strict=True)
+    blocks = triangulate_blocks(recording, rig, matches, observe, noise=noise, config=config)
+    positions, view, point, pixels = zip(*(found for _, found in blocks), strict=True)
     starts = np.cumsum([0, *map(len, positions)])
     return ObservedPoints(
         positions=np.concatenate(positions),
@@ -123,6 +143,34 @@ def check_same_cameras(recording: Recording, rig: CameraRig) -> None:
         )
 
 
+def triangulate_blocks(
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    work: Callable[[Ints, Tracks, Floats, Bools], T],
+    *,
+    noise: Floats,
+    config: TriangulateConfig,
+) -> Iterator[tuple[Ints, T]]:
+    """Yield the frames (indices) of one block after another, and what `work` returns of them.
+
+    work: is called in threads, with the frames, their tracks, the points `[3, N]` in world
+        coordinates (NaN = unknown), and which detections each is made of `[view, N]`.
+    noise: `[view]` standard deviations in radians, see `view_noise`.
+    """
+
+    def triangulate_block(frames: Ints) -> T:
+        """Return what `work` does of some frames."""
+        seen = gather_tracks(recording, matches, frames)
+        points, used = triangulate_rays(
+            rig, seen.rays, weight=seen.weight, noise=noise, config=config
+        )
+        return work(frames, seen, points, used)
+
+    blocks = frame_blocks(len(recording.frames), matches.individuals * len(recording.keypoints))
+    yield from zip(blocks, map_in_threads(triangulate_block, blocks), strict=True)
+
+
 def frame_blocks(frames: int, points: int) -> list[Ints]:
     """Return the indices of the frames, as many at a time as a block has room for.
 
@@ -130,55 +178,6 @@ def frame_blocks(frames: int, points: int) -> list[Ints]:
     """
     size = max(1, POINT_BLOCK // max(1, points))
     return [np.arange(start, min(start + size, frames)) for start in range(0, frames, size)]
-
-
-def triangulate_frames(
-    frames: Ints,
-    *,
-    recording: Recording,
-    rig: CameraRig,
-    matches: Matches,
-    noise: Floats,
-    config: TriangulateConfig,
-) -> tuple[Tracks, Floats, Bools]:
-    """Return the tracks of some frames (indices) and their points.
-
-    noise: `[view]` standard deviations in radians, see `view_noise`.
-    Returns the tracks; `[3, N]` points in world coordinates, NaN = unknown; and `[view, N]`
-    which detections each point is made of.
-    """
-    seen = gather_tracks(recording, matches, frames)
-    points, used = triangulate_rays(rig, seen.rays, weight=seen.weight, noise=noise, config=config)
-    return seen, points, used
-
-
-def _triangulate_block(
-    frames: Ints,
-    *,
-    recording: Recording,
-    rig: CameraRig,
-    matches: Matches,
-    noise: Floats,
-    config: TriangulateConfig,
-) -> Poses3D:
-    """Return the poses in the frames with these indices."""
-    seen, points, used = triangulate_frames(
-        frames, recording=recording, rig=rig, matches=matches, noise=noise, config=config
-    )
-    error = reprojection_error(rig, points, pixels=seen.pixels, used=used)
-    views, weight = used.sum(0), seen.weight * used
-    covariance = _covariance(rig, points, seen.rays, weight=weight, noise=noise)
-    shape = (len(frames), matches.individuals, len(recording.keypoints))
-    return Poses3D(
-        keypoints=recording.keypoints,
-        frames=recording.frames[frames],
-        positions=points.T.reshape(*shape, 3),
-        error=error.reshape(shape),
-        views=views.reshape(shape),
-        confidence=(weight.sum(0) / np.maximum(views, 1)).reshape(shape),
-        unit=rig.unit,
-        covariance=covariance.T.reshape(*shape, 6),
-    )
 
 
 def _covariance(
@@ -218,45 +217,27 @@ def triangulate_rays(
 
     def work(block: ViewBlock) -> tuple[Floats, Bools]:
         """Return the points of a block, and the views that agree on them."""
-        return _triangulate_some(
-            rig.select(block.views),
-            block.take(rays),
-            weight=block.take(weight),
-            noise=noise[block.views],
-            config=config,
+        own, own_rays, own_noise = rig.select(block.views), block.take(rays), noise[block.views]
+        known = np.where(np.isfinite(own_rays[:, 0]), block.take(weight), 0.0)
+        world = rays_in_world(own, own_rays)
+        points = intersect(own, world, known / own_noise[:, None] ** 2)
+        # a point takes three of the 2 V numbers of V rays: what it leaves of their errors
+        left = np.sqrt(1 - 3 / (2 * np.maximum(np.arange(len(own) + 1), 2)))
+        agree = agreeing_views(
+            own,
+            points,
+            world,
+            known,
+            limits=config.outlier * own_noise[:, None] * left,
+            least_angle=np.deg2rad(config.least_angle_deg),
         )
+        return np.where(agree.any(0), points, np.nan), agree
 
     blocks = view_blocks(weight > 0)
     for block, (found, agree) in zip(blocks, map_in_threads(work, blocks), strict=True):
         points[:, block.points] = found
         block.put(agree, used)
     return points, used
-
-
-def _triangulate_some(
-    rig: CameraRig, rays: Floats, *, weight: Floats, noise: Floats, config: TriangulateConfig
-) -> tuple[Floats, Bools]:
-    """Return what `triangulate_rays` does, all points at once."""
-    known = np.where(np.isfinite(rays[:, 0]), weight, 0.0)
-    world = rays_in_world(rig, rays)
-    points = intersect(rig, world, known / noise[:, None] ** 2)
-    used = agreeing_views(
-        rig,
-        points,
-        world,
-        known,
-        limits=config.outlier * noise[:, None] * _share_left(len(noise)),
-        least_angle=np.deg2rad(config.least_angle_deg),
-    )
-    return np.where(used.any(0), points, np.nan), used
-
-
-def _share_left(views: int) -> Floats:
-    """Return what points leave of the errors of their rays, sqrt(1 - 3 / (2 V)) of V rays.
-
-    `[count]`, of no view up to all. The point takes three of the 2 V numbers.
-    """
-    return np.sqrt(1 - 3 / (2 * np.maximum(np.arange(views + 1), 2)))
 
 
 # Single pixels
@@ -281,16 +262,21 @@ def triangulate_pixels(
     flat = pixels.reshape(len(rig), -1, 2)
     weight = np.where(np.isfinite(flat).all(-1), np.nan_to_num(confidence.reshape(len(rig), -1)), 0)
     count = flat.shape[1]
+
+    def unproject(points: slice | Ints) -> Floats:
+        """Return the rays `[view, 3, n]` of some of the points."""
+        return lens.unproject_views(rig.cameras, flat[:, points], by_component=True)
+
     sample = evenly_spaced(np.arange(count), POINT_BLOCK)
-    noise = _noise_of_few(rig, _unproject(rig, flat[:, sample]), weight[:, sample], config)
+    noise = noise_of_rays(rig, unproject(sample), weight[:, sample], config)
 
     def triangulate_block(block: slice) -> tuple[Floats, Floats]:
         """Return points `[3, n]` and errors `[n]` of some of the points."""
-        own = flat[:, block]
         points, used = triangulate_rays(
-            rig, _unproject(rig, own), weight=weight[:, block], noise=noise, config=config
+            rig, unproject(block), weight=weight[:, block], noise=noise, config=config
         )
-        return points, reprojection_error(rig, points, pixels=np.moveaxis(own, -1, 1), used=used)
+        pixels = np.moveaxis(flat[:, block], -1, 1)
+        return points, reprojection_error(rig, points, pixels=pixels, used=used)
 
     found = list(map_in_threads(triangulate_block, point_blocks(count)))
     points = np.concatenate([block for block, _ in found], axis=1)
@@ -298,23 +284,76 @@ def triangulate_pixels(
     return points.T.reshape(*shape, 3), error.reshape(shape)
 
 
-def _unproject(rig: CameraRig, pixels: Floats) -> Floats:
-    """Return the rays `[view, 3, N]` of pixels `[view, N, 2]`."""
-    return lens.unproject_views(rig.cameras, pixels, by_component=True)
+# Bodies
 
 
-def _noise_of_few(
-    rig: CameraRig, rays: Floats, weight: Floats, config: TriangulateConfig
-) -> Floats:
-    """Return the robust standard deviation `[view]` of each view's angular error, in radians.
+@dataclass(frozen=True)
+class PlacedCameras:
+    """Cameras that place bodies.
 
-    The median of few points is not robust: views with few have that of all views together.
+    rig: of all views of a recording. matches: labels of its frames, frame by frame.
+    noise: `[view]` of each, in radians.
     """
-    error, counted = measure_errors(rig, rays, weight, config)
-    together = config.unknown_noise
-    if counted.any():
-        together = float(np.median(error[counted]))
-    noise = np.full(len(rig), together)
-    for view in np.flatnonzero(counted.sum(1) >= _LEAST_POINTS):
-        noise[view] = np.median(error[view, counted[view]])
-    return np.maximum(noise, least_noise(rig, config))
+
+    rig: CameraRig
+    matches: Matches
+    noise: Floats
+
+    @classmethod
+    def of(
+        cls, recording: Recording, rig: CameraRig, matches: Matches, config: Config
+    ) -> "PlacedCameras":
+        """Return cameras whose noise is measured on the matches."""
+        matches = per_frame_labels(matches)
+        return cls(rig, matches, view_noise(recording, rig, matches, config.triangulate))
+
+    @classmethod
+    def of_group(
+        cls, observed: Observed, group: GroupResult, config: Config
+    ) -> tuple[Observed, "PlacedCameras"]:
+        """Return what was known of the cameras of a group alone, and these cameras.
+
+        observed: of all cameras.
+        """
+        names = observed.recording.names
+        own = observed.select(np.array([names.index(name) for name in group.rig.names]))
+        instances = own.sample.positions.shape[2]
+        matches = group.matches.select(frames=own.sample_frames, instances=instances)
+        return own, cls.of(own.sample, group.rig, matches, config)
+
+
+def choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:
+    """Return evenly spread frames (indices into the sample) with so many detections a view, about.
+
+    So many of all views together as eight views have: large rigs say the same many times.
+    """
+    detections = sample.detected.sum(2)  # [view, frame]
+    usual = max(1.0, float(detections.mean()))
+    views = max(1.0, len(detections) / 8)
+    count = max(2 * config.moved.stretches, round(wanted / usual / views))
+    return evenly_spaced(np.arange(len(sample.frames)), count)
+
+
+def place_bodies(
+    recording: Recording,
+    placed: PlacedCameras,
+    frames: Ints,
+    config: Config,
+    *,
+    seen: Tracks | None = None,
+    without: int | None = None,
+) -> Floats:
+    """Return the bodies `[frame, body, joint, 3]` of some frames (indices), NaN = missing.
+
+    seen: the tracks of these frames, where they are gathered already. without: a view whose rays do
+    not count.
+    """
+    seen = seen or gather_tracks(recording, placed.matches, frames)
+    weight = seen.weight.copy()
+    if without is not None:
+        weight[without] = 0.0
+    points, _ = triangulate_rays(
+        placed.rig, seen.rays, weight=weight, noise=placed.noise, config=config.triangulate
+    )
+    shape = len(frames), placed.matches.individuals, len(recording.keypoints)
+    return points.T.reshape(*shape, 3)

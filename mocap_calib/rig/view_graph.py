@@ -14,18 +14,23 @@ Around a triangle rotations and baselines must close (Zach, Klopschitz and Polle
 relations by it): pairs that close none confirm nothing.
 """
 
+from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from mocap_calib.config import AveragingConfig, Config, ViewGraphConfig
+from mocap_calib.errors import UnderconstrainedCameraError
 from mocap_calib.geometry.graphs import connected_parts, fiedler_vector
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.pairs.solve import PairSolver, all_pairs, calibrate_pairs
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import LiftedPoses, PairwiseCalibration
-from mocap_calib.types import Bools, Floats, Ints, Mapper, Progress, Sample
+from mocap_calib.types import Bools, Floats, Ints, Mapper, Progress, Recording, Sample
+
+T = TypeVar("T")
 
 
 def calibrate_view_graph(
@@ -279,3 +284,76 @@ def _list_triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:
     number[a, b] = np.arange(len(pairs))
     edge, c = np.nonzero((number[a] >= 0) & (number[b] >= 0))
     return np.column_stack([edge, number[b[edge], c], number[a[edge], c]])
+
+
+# --- what is known of cameras before a rig is built
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What is known of some cameras before a rig is built.
+
+    sample_frames: `[frame]` indices into the recording of the frames of the sample.
+    lifted: the detections of the sample, lifted. pairs: between these cameras.
+    """
+
+    recording: Recording
+    sample_frames: Ints
+    sample: Sample
+    lifted: LiftedPoses
+    pairs: tuple[PairwiseCalibration, ...]
+
+    @property
+    def rotations(self) -> dict[tuple[int, int], Floats]:
+        """(a, b) -> `[3, 3]` b_from_a of each pair."""
+        return {(pair.a, pair.b): pair.rotation for pair in self.pairs}
+
+    def select(self, views: Ints) -> "Observed":
+        """Return what is known of these views (`[view]` indices) alone."""
+        return Observed(
+            recording=self.recording.select(views=views),
+            sample_frames=self.sample_frames,
+            sample=self.sample.select(views=views),
+            lifted=self.lifted.select(views),
+            pairs=pairs_among(self.pairs, views),
+        )
+
+    def without(self, camera: str) -> "Observed":
+        """Return what is known of all cameras but this one."""
+        names = self.recording.names
+        return self.select(np.array([v for v, name in enumerate(names) if name != camera]))
+
+
+def leave_out_underconstrained(observed: Observed, work: Callable[[Observed], T]) -> T:
+    """Return what is found of the cameras of one group that are constrained.
+
+    A camera that sees too little that agrees with others must not cost the others their rig: it
+    is left out, and the work on the rest starts again.
+    """
+    while True:
+        try:
+            return work(observed)
+        except UnderconstrainedCameraError as error:
+            if len(observed.recording.cameras) == 2:
+                raise
+            observed = observed.without(error.camera)
+
+
+def pairs_among(
+    pairs: tuple[PairwiseCalibration, ...], cameras: Ints
+) -> tuple[PairwiseCalibration, ...]:
+    """Return the pairs among some cameras, renumbered to the order of these.
+
+    cameras: `[view]` indices.
+    """
+    place = {int(camera): k for k, camera in enumerate(cameras)}
+    return tuple(
+        replace(
+            pair,
+            a=place[pair.a],
+            b=place[pair.b],
+            alternatives=pairs_among(pair.alternatives, cameras),
+        )
+        for pair in pairs
+        if pair.a in place and pair.b in place
+    )

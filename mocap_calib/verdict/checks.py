@@ -17,8 +17,8 @@ from mocap_calib.config import REPORT_FRAMES, VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Check, GroupResult, Matches
+from mocap_calib.rig import labelled_frames, matched_pixels, matched_share
 from mocap_calib.rig.averaging import best_scores
-from mocap_calib.rig.tracks import labelled_frames, matched_pixels, matched_share
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
 # of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras

@@ -29,7 +29,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import project_out_similarity, rig_change, rig_size
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import Matches, RigCovariance, Uncertainty
-from mocap_calib.rig.tracks import labelled_frames
+from mocap_calib.rig import labelled_frames
 from mocap_calib.types import POSE, Bools, Camera, CameraRig, EstimatedCamera, Floats, Sample
 
 _SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is

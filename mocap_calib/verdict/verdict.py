@@ -29,9 +29,9 @@ from mocap_calib.results import (
     TimeOffsets,
     Verdict,
 )
-from mocap_calib.rig.observed import Observed
-from mocap_calib.rig.tracks import labelled_frames
+from mocap_calib.rig import labelled_frames
 from mocap_calib.rig.triangulate import triangulate
+from mocap_calib.rig.view_graph import Observed
 from mocap_calib.types import CameraRig, EstimatedCamera, Progress, Sample, silent
 from mocap_calib.verdict.checks import OPEN_DEG, check_rig, kind_of
 from mocap_calib.verdict.uncertainty import assess_uncertainty, with_uncertain_corner

@@ -40,10 +40,9 @@ from mocap_calib.results import (
     Verification,
     VerifiedCamera,
 )
+from mocap_calib.rig import matched_share
 from mocap_calib.rig.associate import associate
-from mocap_calib.rig.observed import PlacedCameras
-from mocap_calib.rig.tracks import matched_share
-from mocap_calib.rig.triangulate import check_same_cameras
+from mocap_calib.rig.triangulate import PlacedCameras, check_same_cameras
 from mocap_calib.training import on_device
 from mocap_calib.types import (
     Bools,

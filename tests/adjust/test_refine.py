@@ -14,7 +14,7 @@ from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.results import Matches
-from mocap_calib.rig.tracks import MEDIAN_DISTANCE
+from mocap_calib.rig import MEDIAN_DISTANCE
 from mocap_calib.types import CameraRig
 
 

@@ -30,7 +30,7 @@ from mocap_calib.io.poses.read import read_poses
 from mocap_calib.recording.corrections import Moved
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.recording.timeline import list_epochs, rig_of_epoch
-from mocap_calib.rig.observed import choose_frames
+from mocap_calib.rig.triangulate import choose_frames
 from mocap_calib_cli.commands import report as report_command
 
 CONFIG = MovedConfig()

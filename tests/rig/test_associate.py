@@ -10,8 +10,8 @@ from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.rig import associate as association
+from mocap_calib.rig import per_frame_labels, replace_labels
 from mocap_calib.rig.associate import associate, cluster_detections, measure_log_ratio
-from mocap_calib.rig.tracks import per_frame_labels, replace_labels
 from mocap_calib.types import silent
 
 VIEWS, INSTANCES = 4, 3

@@ -5,16 +5,22 @@ import pytest
 from scenes import recording, scene, truth
 
 from mocap_calib.config import TriangulateConfig
-from mocap_calib.geometry.lens import pixels_from_points
-from mocap_calib.rig.tracks import MEDIAN_DISTANCE, gather_tracks, view_noise, view_residual
-from mocap_calib.rig.triangulate import _noise_of_few, _unproject, triangulate
+from mocap_calib.geometry.lens import pixels_from_points, unproject_views
+from mocap_calib.rig import (
+    MEDIAN_DISTANCE,
+    gather_tracks,
+    measure_residuals,
+    noise_of_rays,
+    view_noise,
+)
+from mocap_calib.rig.triangulate import triangulate
 
 CHI2_95 = 7.815  # of three degrees of freedom
 CAMERAS = [2, 3, 5]
 
 
-def measure(function, **changes) -> np.ndarray:
-    """Return a measure `[view]` of a scene, in radians."""
+def measure(function, **changes):
+    """Return what a function measures of a scene, in radians."""
     rig = scene(**changes).rig
     return function(recording(**changes), rig, truth(**changes), TriangulateConfig())
 
@@ -47,7 +53,8 @@ def test_the_noise_is_that_of_the_detections(cameras):
 @pytest.mark.parametrize("cameras", CAMERAS)
 def test_points_leave_less_of_it(cameras):
     """Of the 2 V numbers of V rays three less; what two rays leave has one direction alone."""
-    left = measure(view_residual, cameras=cameras) / measure(view_noise, cameras=cameras)
+    residual, _ = measure(measure_residuals, cameras=cameras)
+    left = residual / measure(view_noise, cameras=cameras)
     expected = np.sqrt(1 - 3 / (2 * cameras)) if cameras > 2 else 0.405
     np.testing.assert_allclose(left.mean(), expected, rtol=0.08)
 
@@ -85,8 +92,9 @@ def test_views_of_few_points_are_as_noisy_as_all_together():
     pixels += sigma[:, None, None] * rng.normal(size=pixels.shape)
     focal = np.array([camera.focal for camera in rig.cameras])
     known = np.ones(pixels.shape[:2])
-    noise = _noise_of_few(rig, _unproject(rig, pixels), known, TriangulateConfig())
+    rays = unproject_views(rig.cameras, pixels, by_component=True)
+    noise = noise_of_rays(rig, rays, known, TriangulateConfig())
     assert noise[3] * focal[3] > 1.4 * (noise * focal)[:3].max()
     known[3, 20:] = 0.0
-    noise = _noise_of_few(rig, _unproject(rig, pixels), known, TriangulateConfig())
+    noise = noise_of_rays(rig, rays, known, TriangulateConfig())
     np.testing.assert_allclose(noise * focal, 0.5, rtol=0.2)

@@ -15,8 +15,8 @@ from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.results import Matches
+from mocap_calib.rig import matched_share
 from mocap_calib.rig.averaging import best_scores
-from mocap_calib.rig.tracks import matched_share
 from mocap_calib.types import Camera, EstimatedCamera
 from mocap_calib.verdict.verdict import _left_open
 
