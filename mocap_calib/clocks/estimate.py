@@ -175,18 +175,23 @@ def find_clocks(
         return tuple(map(CameraClock, recording.names))
     numbers = frame_numbers(recording, stretches)
     given = {pair: rotations[pair] for pair in compared if pair in rotations}
+    sure: set[int] = set()
     if given:
-        agreements = Agreements.of(len(views), _compare(views, given), window)
-        as_calibrated = find_timing(agreements)
+        shape = (len(views), *stretches.shape)
+        synchronous = Timing(np.broadcast_to(np.arange(shape[2]), shape), np.ones(shape[0]))
+        values, as_calibrated = _align(views, given, synchronous, window)
+        agreements = Agreements.of(len(views), values, window)
         cameras = _cameras(recording.names, numbers, agreements, as_calibrated)
-        if all(camera.kind == "in step" for camera in cameras):
-            return cameras
-    generators = np.random.default_rng(seed).spawn(len(compared))
-    searched = map_in_threads(
+        sure = {view for view, camera in enumerate(cameras) if camera.kind == "in step"}
+    searched = [pair for pair in compared if not sure.issuperset(pair)]
+    if not searched:
+        return cameras
+    generators = np.random.default_rng(seed).spawn(len(searched))
+    rotated = map_in_threads(
         lambda job: search_rotation(views[job[0][0]], views[job[0][1]], 2 * window, job[1]),
-        zip(compared, generators, strict=True),
+        zip(searched, generators, strict=True),
     )
-    found = dict(zip(compared, searched, strict=True))
+    found = given | dict(zip(searched, rotated, strict=True))
     timing = find_timing(Agreements.of(len(views), _compare(views, found), window))
     values, timing = _align(views, found, timing, window)
     if given:
