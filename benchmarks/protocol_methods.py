@@ -14,7 +14,8 @@ from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseCon
 from mocap_calib.geometry.epipolar import pose_from_essential
 from mocap_calib.lift.lift import lift, rays_by_joint
 from mocap_calib.lift.lifter import Lifter
-from mocap_calib.pairs.solve import calibrate_pair, pair_problem
+from mocap_calib.pairs.solve import calibrate_pair
+from mocap_calib.pairs.view_pair import gather_view_pair
 from mocap_calib.paper import (
     FIVE_POINT_LEAST_JOINTS,
     Estimator,
@@ -151,11 +152,10 @@ def ours(config: PairwiseConfig) -> Method:
 
         def solve(problem: Problem) -> Found | None:
             lifted = lift(problem.recording, lifter, progress=silent)
-            gathered = pair_problem(
+            gathered = gather_view_pair(
                 problem.recording,
                 lifted,
-                problem.a,
-                problem.b,
+                (problem.a, problem.b),
                 config=config,
                 rng=np.random.default_rng(0),
             )

@@ -199,7 +199,7 @@ def refine(
 ) -> None:
     """Refine rotations `[M, 3, 3]` and unit directions `[M, 3]` by Gauss-Newton steps.
 
-    rays: `[M, block, 8, LANES]` as of `MatchedRays.in_blocks`; overlap: `[M, 3, 3]` and inertia:
+    rays: `[M, block, 8, LANES]` as of `view_pair.in_blocks`; overlap: `[M, 3, 3]` and inertia:
     `[M]` of `_add_bodies`; widths: `[step]` of the loss in body sizes.
     """
     for m in range(len(rotations)):

@@ -44,13 +44,11 @@ def match_affinity(
     rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes.
     """
     fit = epipolar_fit(pair, rotation, translation, config)
-    cells = np.flatnonzero(pair.overlap.lifted)
-    pose = np.exp(-0.5 * pose_error(pair, rotation, cells, config))
-    bodies = pose / (1 + 0.5 * centre_error(pair, rotation, translation, cells, config))
-    of_bodies, of_pose = np.ones((2, *fit.shape))
-    of_bodies.reshape(len(fit), -1)[:, cells] = np.sqrt(bodies)
-    of_pose.reshape(len(fit), -1)[:, cells] = pose
-    return fit * of_bodies, fit, of_pose
+    bodies, pose = (
+        _in_frames(pair, of_cells, unknown=1.0)
+        for of_cells in _agreement_of_cells(pair, rotation, translation, config)
+    )
+    return fit * np.sqrt(bodies), fit, pose
 
 
 def body_agreement(
@@ -58,20 +56,34 @@ def body_agreement(
 ) -> Floats:
     """Return in 0..1 how well lifted bodies and their centres agree, 0 if one is not lifted.
 
-    exp(-p / 2) / (1 + c / 2) of the errors p of the pose and c of the centre.
     rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes. Returns `[M, frame, I, J]`.
     """
-    cells = np.flatnonzero(pair.overlap.lifted)
-    agreement = pose_error(pair, rotation, cells, config)
-    agreement *= -0.5
-    np.exp(agreement, out=agreement)
+    agreement, _ = _agreement_of_cells(pair, rotation, translation, config)
+    return _in_frames(pair, agreement, unknown=0.0)
+
+
+def _agreement_of_cells(
+    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
+) -> tuple[Floats, Floats]:
+    """Return how well pairs of lifted bodies agree with their centres, and without: `[M, N]`.
+
+    exp(-p / 2) / (1 + c / 2) and exp(-p / 2) of the errors p of the pose and c of the centre.
+    """
+    cells = np.flatnonzero(pair.lifted)
+    pose = pose_error(pair, rotation, cells, config)
+    pose *= -0.5
+    np.exp(pose, out=pose)
     centre = centre_error(pair, rotation, translation, cells, config)
     centre *= 0.5
     centre += 1
-    agreement /= centre
-    found = np.zeros((len(rotation), pair.overlap.lifted.size))
-    found[:, cells] = agreement
-    return found.reshape(-1, *pair.overlap.lifted.shape)
+    return np.divide(pose, centre, out=centre), pose
+
+
+def _in_frames(pair: ViewPair, of_cells: Floats, *, unknown: float) -> Floats:
+    """Return values `[M, frame, I, J]` of pairs of lifted bodies `[M, N]`, and of the others."""
+    found = np.full((len(of_cells), pair.lifted.size), unknown)
+    found[:, np.flatnonzero(pair.lifted)] = of_cells
+    return found.reshape(-1, *pair.lifted.shape)
 
 
 def pose_variance(pair: ViewPair, config: PairwiseConfig) -> Floats:
@@ -79,7 +91,7 @@ def pose_variance(pair: ViewPair, config: PairwiseConfig) -> Floats:
 
     Of the tolerance, or what the network predicts where that is more.
     """
-    predicted = config.pose_doubt**2 * pair.overlap.doubt
+    predicted = config.pose_doubt**2 * pair.doubt
     return np.maximum(config.pose_tolerance**2, predicted)
 
 
@@ -91,7 +103,7 @@ def pose_error(pair: ViewPair, rotation: Floats, cells: Ints, config: PairwiseCo
     """
     turns = np.column_stack([-2 * rotation.reshape(-1, 9), np.ones(len(rotation))])
     terms = np.empty((10, len(cells)))
-    terms[9] = pair.overlap.norm.take(cells)
+    terms[9] = pair.norm.take(cells)
     variance = pose_variance(pair, config).take(cells)
 
     def error(cross: Floats) -> Floats:
@@ -100,7 +112,7 @@ def pose_error(pair: ViewPair, rotation: Floats, cells: Ints, config: PairwiseCo
         terms[:9] = of_cells.swapaxes(1, 2).reshape(-1, 9).T
         return np.asarray(turns @ (terms / variance))
 
-    nearest = reduce(np.minimum, map(error, pair.overlap.cross))
+    nearest = reduce(np.minimum, map(error, pair.cross))
     return np.maximum(nearest, 0.0, out=nearest)
 
 
@@ -109,7 +121,7 @@ def nearest_reading(pair: ViewPair, rotation: Floats, matched: Bools) -> Floats:
 
     matched: `[frame, I, J]`.
     """
-    cross = pair.overlap.cross[:, matched]
+    cross = pair.cross[:, matched]
     nearest = np.einsum("ij,rnji->rn", rotation, cross).argmax(0)
     return np.asarray(cross[nearest, np.arange(len(nearest))])
 
@@ -149,7 +161,7 @@ def epipolar_fit(
     rotation: `[M, 3, 3]`; translation: `[M, 3]` of any length. Returns `[M, frame, I, J]`, 0 where
     detections have too few joints in common.
     """
-    fit = np.zeros((len(rotation), *pair.overlap.lifted.shape))
+    fit = np.zeros((len(rotation), *pair.lifted.shape))
     matrices = unit_essential_matrix(rotation, translation)
     fit_hypotheses(
         *contiguous(

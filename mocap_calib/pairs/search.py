@@ -5,10 +5,11 @@ which detections belong to one individual. All are scored on all frames, and ref
 matches.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import five_point
@@ -23,7 +24,12 @@ from mocap_calib.pairs.affinity import (
     nearest_reading,
     pose_variance,
 )
-from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian, matched_rays
+from mocap_calib.pairs.view_pair import (
+    ViewPair,
+    body_sizes_per_radian,
+    in_blocks,
+    matched_rays,
+)
 from mocap_calib.types import Bools, Floats, Ints
 
 _CELLS = 2_000_000  # hypotheses x possible matches scored at a time, for memory
@@ -31,43 +37,37 @@ _CELLS = 2_000_000  # hypotheses x possible matches scored at a time, for memory
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """M hypotheses of the relative pose b_from_a of one pair of views.
+    """M hypotheses of the relative pose b_from_a of one pair of views, with matches and scores.
 
     rotation: `[M, 3, 3]`.
     translation: `[M, 3]` in body sizes.
     source: `[M]` method that found each ("lifted", "five-point", ...).
+    matched: `[M, frame, I, J]` matches under each hypothesis.
+    score: `[M]` in 0..1, see `score_hypotheses`.
+    in_front: `[M]` in 0..1, share of the matched joints in front of both cameras.
     """
 
     rotation: Floats
     translation: Floats
-    source: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.rotation)
+    source: NDArray[np.str_]
+    matched: Bools
+    score: Floats
+    in_front: Floats
 
     def __getitem__(self, index: Ints) -> "Hypotheses":
-        source = tuple(self.source[k] for k in index)
-        return Hypotheses(self.rotation[index], self.translation[index], source)
-
-    def __add__(self, other: "Hypotheses") -> "Hypotheses":
-        return Hypotheses(
-            rotation=np.concatenate([self.rotation, other.rotation]),
-            translation=np.concatenate([self.translation, other.translation]),
-            source=self.source + other.source,
-        )
+        return Hypotheses(*(each[index] for each in vars(self).values()))
 
 
-def search_hypotheses(
-    pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.random.Generator
-) -> Hypotheses:
-    """Return relative poses from the lifted bodies, and those of five points.
-
-    tracked: in both views the instance index identifies the same individual in all frames.
-    """
-    hypotheses = _search_bodies(pair, config, rng)
-    for matches in _known_identities(pair, tracked, config):
-        hypotheses += _from_five_points(pair, matches, config, rng)
-    return hypotheses
+def search_hypotheses(pair: ViewPair, config: PairwiseConfig) -> Hypotheses:
+    """Return relative poses from the lifted bodies, and those of five points; there may be none."""
+    rotation, translation = _search_bodies(pair, config)
+    lifted = len(rotation)
+    for matches in _known_identities(pair, config):
+        for turn, shift in _from_five_points(pair, matches, config):
+            rotation = np.concatenate([rotation, turn[None]])
+            translation = np.concatenate([translation, shift[None]])
+    source = np.where(np.arange(len(rotation)) < lifted, "lifted", "five-point")
+    return score_hypotheses(pair, rotation, translation, source, config)
 
 
 def well_separated(rotation: Floats, score: Floats, *, count: int, separation_deg: float) -> Ints:
@@ -86,90 +86,86 @@ def well_separated(rotation: Floats, score: Floats, *, count: int, separation_de
     return ranked[kept]
 
 
-def _search_bodies(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
+def _search_bodies(pair: ViewPair, config: PairwiseConfig) -> tuple[Floats, Floats]:
     """Return the relative poses of possible matches that agree best with all frames, aligned."""
-    candidates = _candidates(pair, config, rng)
-    if len(candidates) == 0:
-        return candidates
+    rotation, translation = _candidates(pair, config)
     best = well_separated(
-        candidates.rotation,
-        _total_agreement(pair, candidates, config),
+        rotation,
+        _total_agreement(pair, rotation, translation, config),
         count=config.hypotheses_searched,
         separation_deg=config.separation_deg,
     )
-    aligned = candidates[best]
+    rotation, translation = rotation[best], translation[best]
     for _ in range(config.rounds):
-        aligned = _align_bodies(pair, aligned, config)
-    return aligned
+        rotation, translation = _align_bodies(pair, rotation, translation, config)
+    return rotation, translation
 
 
-def _candidates(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
-    """Return relative poses that align two lifted bodies each (Kabsch).
+def _candidates(pair: ViewPair, config: PairwiseConfig) -> tuple[Floats, Floats]:
+    """Return relative poses that align two lifted bodies each (Kabsch), none where none are.
 
     Half of them are those whose bodies agree best, half are drawn at random; each reading of the
     bodies gives its own.
     """
-    frame, i, j = np.nonzero(pair.overlap.lifted)
-    cross = pair.overlap.cross[:, frame, i, j].reshape(-1, 3, 3)
-    frame, i, j = np.tile([frame, i, j], len(pair.overlap.cross))
+    frame, i, j = np.nonzero(pair.lifted)
+    cross = pair.cross[:, frame, i, j].reshape(-1, 3, 3)
+    frame, i, j = np.tile([frame, i, j], len(pair.cross))
     rotation = nearest_rotation(np.swapaxes(cross, -1, -2))
-    error = pair.overlap.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, cross)
+    error = pair.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, cross)
     ranked = np.argsort(error, kind="stable")
     half = config.candidates_searched // 2
-    picked = np.concatenate([ranked[:half], rng.permutation(ranked[half:])[:half]])
+    picked = np.concatenate([ranked[:half], pair.rng.permutation(ranked[half:])[:half]])
     rotation = rotation[picked]
     centre_a = pair.a.centre[frame, i][picked]
     centre_b = pair.b.centre[frame, j][picked]
-    translation = centre_b - np.einsum("nij,nj->ni", rotation, centre_a)
-    return Hypotheses(rotation, translation, ("lifted",) * len(picked))
+    return rotation, centre_b - np.einsum("nij,nj->ni", rotation, centre_a)
 
 
-def _total_agreement(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Floats:
+def _total_agreement(
+    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
+) -> Floats:
     """Return `[M]` the best agreement of each detection with one of the other view, summed."""
-
-    def total(k: Ints) -> Floats:
-        """Return the totals of some hypotheses: one crowded frame has many possible matches."""
-        some = hypotheses[k]
-        agreement = body_agreement(pair, some.rotation, some.translation, config)
+    total = np.empty(len(rotation))
+    size = max(1, _CELLS // pair.lifted.size)  # one crowded frame has many possible matches
+    for start in range(0, len(rotation), size):
+        some = slice(start, start + size)
+        agreement = body_agreement(pair, rotation[some], translation[some], config)
         # `max` over a few numbers that lie side by side takes several times as long
         of_a = reduce(np.maximum, np.moveaxis(agreement, -1, 0))
         of_b = reduce(np.maximum, np.moveaxis(agreement, -2, 0))
-        return np.asarray(of_a.sum((-1, -2)) + of_b.sum((-1, -2)))
-
-    count = len(hypotheses)
-    size = max(1, _CELLS // pair.overlap.lifted.size)
-    blocks = np.split(np.arange(count), range(size, count, size))
-    return np.concatenate([total(k) for k in blocks])
+        total[some] = of_a.sum((-1, -2)) + of_b.sum((-1, -2))
+    return total
 
 
-def _align_bodies(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Hypotheses:
+def _align_bodies(
+    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
+) -> tuple[Floats, Floats]:
     """Match the bodies under each hypothesis, and align the matched ones (weighted Procrustes).
 
     Centres weigh less the farther they are: their error grows with the distance.
     """
-    agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
-    matched = mutual_best(agreement)
-    rotation, translation = hypotheses.rotation.copy(), hypotheses.translation.copy()
-    for m, of_one in enumerate(matched):
-        if not of_one.any():
+    agreement = body_agreement(pair, rotation, translation, config)
+    rotation, translation = rotation.copy(), translation.copy()
+    for m, matched in enumerate(mutual_best(agreement)):
+        if not matched.any():
             continue
-        frame, i, j = np.nonzero(of_one)
-        weight = agreement[m, of_one]
-        cross = np.einsum("n,nij->ji", weight, nearest_reading(pair, rotation[m], of_one))
+        frame, i, j = np.nonzero(matched)
+        weight = agreement[m, matched]
+        cross = np.einsum("n,nij->ji", weight, nearest_reading(pair, rotation[m], matched))
         rotation[m] = nearest_rotation(cross + 1e-9 * rotation[m])
         weight = weight / (pair.a.distance[frame, i] ** 2 + pair.b.distance[frame, j] ** 2)
         gap = pair.b.centre[frame, j] - pair.a.centre[frame, i] @ rotation[m].T
         translation[m] = weight @ gap / weight.sum()
-    return Hypotheses(rotation, translation, hypotheses.source)
+    return rotation, translation
 
 
-def _known_identities(pair: ViewPair, tracked: bool, config: PairwiseConfig) -> list[Ints]:
+def _known_identities(pair: ViewPair, config: PairwiseConfig) -> list[Ints]:
     """Return sets of matches `[match, 3]` (frame, i, j) of one individual in each view.
 
     Each pair of tracks may be one; otherwise there is one set, of the frames with a single
     subject, where half of the frames or more are such.
     """
-    if tracked:
+    if pair.tracked:
         together = pair.a.present[:, :, None] & pair.b.present[:, None]
         rows, tracks = np.argwhere(together), np.argwhere(together.any(0))
         return [rows[(rows[:, 1:] == each).all(1)] for each in tracks[: config.hypotheses_searched]]
@@ -183,8 +179,8 @@ def _known_identities(pair: ViewPair, tracked: bool, config: PairwiseConfig) -> 
 
 
 def _from_five_points(
-    pair: ViewPair, matches: Ints, config: PairwiseConfig, rng: np.random.Generator
-) -> Hypotheses:
+    pair: ViewPair, matches: Ints, config: PairwiseConfig
+) -> list[tuple[Floats, Floats]]:
     """Run five-point RANSAC (Nister 2004) on matches `[match, 3]` of one individual.
 
     Each of `config.five_point_draws` draws other matches, and halves the tolerance: a wide one
@@ -192,51 +188,22 @@ def _from_five_points(
     """
     found: list[tuple[Floats, Floats]] = []
     for halvings in range(config.five_point_draws):
-        drawn = np.sort(rng.permutation(len(matches))[: config.five_point_matches])
+        drawn = np.sort(pair.rng.permutation(len(matches))[: config.five_point_matches])
         frame, i, j = matches[drawn].T
         both = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
         tolerance = config.inlier / float(np.median(body_sizes_per_radian(pair)[frame, i, j]))
         rays_a, rays_b = pair.a.rays[frame, i][both], pair.b.rays[frame, j][both]
         found += five_point(rays_a, rays_b, tolerance / 2**halvings)
-    return Hypotheses(
-        rotation=np.reshape([rotation for rotation, _ in found], (-1, 3, 3)),
-        translation=np.reshape([translation for _, translation in found], (-1, 3)),
-        source=("five-point",) * len(found),
-    )
+    return found
 
 
-@dataclass(frozen=True)
-class Scored:
-    """Hypotheses, their matches and their scores.
-
-    matched: `[M, frame, I, J]` matches under each hypothesis.
-    score: `[M]` in 0..1, see `score_hypotheses`.
-    in_front: `[M]` in 0..1, share of the matched joints in front of both cameras.
-    """
-
-    hypotheses: Hypotheses
-    matched: Bools
-    score: Floats
-    in_front: Floats
-
-    def __getitem__(self, index: Ints) -> "Scored":
-        return Scored(
-            hypotheses=self.hypotheses[index],
-            matched=self.matched[index],
-            score=self.score[index],
-            in_front=self.in_front[index],
-        )
-
-    def __add__(self, other: "Scored") -> "Scored":
-        return Scored(
-            hypotheses=self.hypotheses + other.hypotheses,
-            matched=np.concatenate([self.matched, other.matched]),
-            score=np.concatenate([self.score, other.score]),
-            in_front=np.concatenate([self.in_front, other.in_front]),
-        )
-
-
-def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Scored:
+def score_hypotheses(
+    pair: ViewPair,
+    rotation: Floats,
+    translation: Floats,
+    source: NDArray[np.str_],
+    config: PairwiseConfig,
+) -> Hypotheses:
     """Match the detections under each hypothesis, and score it by its matches.
 
     The pair score is the share of the possible matches that are made, each weighted by the share
@@ -244,42 +211,40 @@ def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseCon
     x the square root of the mean agreement of the lifted poses, by which bodies count as much as
     in the affinity of a match: rays are measured, bodies are predicted from the same keypoints.
     """
-    rotation, translation = hypotheses.rotation, hypotheses.translation
     affinity, fit, pose = match_affinity(pair, rotation, translation, config)
     matched = mutual_best(affinity)
-    in_front = np.zeros(len(hypotheses))
+    in_front = np.zeros(len(rotation))
     of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
     share_in_front(*contiguous(rotation, translation, *of_views, matched), in_front)
     possible = np.minimum(pair.a.present.sum(-1), pair.b.present.sum(-1)).sum()
     explained = (matched * fit).sum((1, 2, 3)) / max(possible, 1)
     agreement = (matched * pose).sum((1, 2, 3)) / np.maximum(matched.sum((1, 2, 3)), 1)
-    return Scored(hypotheses, matched, explained * in_front * np.sqrt(agreement), in_front)
+    score = explained * in_front * np.sqrt(agreement)
+    return Hypotheses(rotation, translation, source, matched, score, in_front)
 
 
-def refine_scored(pair: ViewPair, scored: Scored, config: PairwiseConfig) -> Scored:
+def refine_hypotheses(pair: ViewPair, found: Hypotheses, config: PairwiseConfig) -> Hypotheses:
     """Refine each hypothesis on its matches; keep the step where the score does not fall."""
-    hypotheses = scored.hypotheses
-    rays = [matched_rays(pair, matched) for matched in scored.matched]
+    rays = [matched_rays(pair, matched) for matched in found.matched]
     size = max(map(len, rays))
     if size == 0:
-        return scored
+        return found
     sums = [
-        _body_sums(pair, *each, config)
-        for each in zip(hypotheses.rotation, scored.matched, strict=True)
+        _body_sums(pair, *each, config) for each in zip(found.rotation, found.matched, strict=True)
     ]
     rotation, translation = refine_poses(
-        hypotheses.rotation,
-        hypotheses.translation,
+        found.rotation,
+        found.translation,
         config,
-        rays=np.stack([of_one.in_blocks(size) for of_one in rays]),
+        rays=np.stack([in_blocks(of_one, size) for of_one in rays]),
         cross=np.stack([cross for cross, _ in sums]),
         inertia=np.array([inertia for _, inertia in sums]),
     )
-    moved = replace(hypotheses, rotation=rotation, translation=translation)
-    refined = score_hypotheses(pair, moved, config)
-    each = np.arange(len(hypotheses))
-    better = refined.score >= scored.score
-    return (scored + refined)[each + len(each) * better]
+    refined = score_hypotheses(pair, rotation, translation, found.source, config)
+    both = zip(vars(found).values(), vars(refined).values(), strict=True)
+    joined = Hypotheses(*(np.concatenate(each) for each in both))
+    each = np.arange(len(rays))
+    return joined[each + len(rays) * (refined.score >= found.score)]
 
 
 def _body_sums(
@@ -291,13 +256,13 @@ def _body_sums(
     of lifted bodies are alike: n of them have the information of n / (1 + n / 2).
     rotation: `[3, 3]`; matched: `[frame, I, J]`.
     """
-    lifted = matched & (pair.overlap.lifted > 0)
+    lifted = matched & (pair.lifted > 0)
     if not lifted.any():
         return np.zeros((3, 3)), 0.0
     share = 3 / (1 + lifted.sum() / 2)
     weight = share * config.inlier**2 / pose_variance(pair, config)[lifted]
     cross = np.einsum("n,nij->ij", weight, nearest_reading(pair, rotation, lifted))
-    return cross, float(weight @ pair.overlap.norm[lifted] / 2)
+    return cross, float(weight @ pair.norm[lifted] / 2)
 
 
 def refine_poses(

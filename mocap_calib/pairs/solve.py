@@ -7,7 +7,7 @@ best score is the answer, the others are its alternatives, which a third view ma
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 
@@ -19,8 +19,7 @@ from mocap_calib.geometry.epipolar import sampson_angle
 from mocap_calib.pairs.affinity import unit_essential_matrix
 from mocap_calib.pairs.search import (
     Hypotheses,
-    Scored,
-    refine_scored,
+    refine_hypotheses,
     score_hypotheses,
     search_hypotheses,
     well_separated,
@@ -30,9 +29,7 @@ from mocap_calib.pairs.view_pair import (
     distance_ratios,
     gather_view_pair,
     matched_rays,
-    shared_frames,
 )
-from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import LiftedPoses, PairwiseCalibration
 from mocap_calib.types import Bools, Floats, Ints, Mapper, Progress, Recording, Sample
 
@@ -42,28 +39,7 @@ _WORTH_A_THREAD = 50_000
 _WORTH_PROCESSES = 800_000
 
 
-@dataclass(frozen=True)
-class PairProblem:
-    """All that is needed to calibrate the views a and b, and no more.
-
-    It may be pickled and travel to another machine.
-
-    pair: their detections in the frames looked at.
-    shared_frames: how many frames the two views share.
-    tracked: in both views the instance index names the same individual in all frames.
-    rng: of this pair alone, so that the order in which pairs are calibrated does not matter. It
-        is consumed.
-    """
-
-    a: int
-    b: int
-    pair: ViewPair
-    shared_frames: int
-    tracked: bool
-    rng: np.random.Generator
-
-
-PairSolver = Callable[[PairProblem], PairwiseCalibration | None]
+PairSolver = Callable[[ViewPair], PairwiseCalibration | None]
 
 
 @single_threaded_libraries()
@@ -88,7 +64,7 @@ def calibrate_pairs(
     mapper = mapper or pair_mapper(sample, config, count=len(pairs))
     solve = solve or partial(calibrate_pair, config=config)
     found: list[PairwiseCalibration] = []
-    for done, result in enumerate(mapper(solve, _problems(sample, lifted, pairs, config, rng))):
+    for done, result in enumerate(mapper(solve, _gather(sample, lifted, pairs, config, rng))):
         if result is not None:
             found.append(result)
         progress("pairwise", done + 1, len(pairs))
@@ -131,14 +107,14 @@ def in_recording(
     return tuple(renumbered)
 
 
-def _problems(
+def _gather(
     sample: Sample,
     lifted: LiftedPoses,
     pairs: Sequence[tuple[int, int]],
     config: PairwiseConfig,
     rng: np.random.Generator,
-) -> Iterator[PairProblem]:
-    """Gather the problem of each pair, with random numbers of its own, when it is asked for.
+) -> Iterator[ViewPair]:
+    """Gather what is known of each pair, with random numbers of its own, when it is asked for.
 
     Frames and random numbers of a pair are those that it has where all pairs are asked for.
     """
@@ -146,7 +122,7 @@ def _problems(
     config = replace(config, frames=_frames_of_each(len(every), config))
     generators = dict(zip(every, rng.spawn(len(every)), strict=True))
     for a, b in pairs:
-        yield pair_problem(sample, lifted, a, b, config=config, rng=generators[a, b])
+        yield gather_view_pair(sample, lifted, (a, b), config=config, rng=generators[a, b])
 
 
 def _frames_of_each(pairs: int, config: PairwiseConfig) -> int:
@@ -155,62 +131,36 @@ def _frames_of_each(pairs: int, config: PairwiseConfig) -> int:
     return min(config.frames, max(config.least_frames, share))
 
 
-def pair_problem(
-    sample: Sample,
-    lifted: LiftedPoses,
-    a: int,
-    b: int,
-    *,
-    config: PairwiseConfig,
-    rng: np.random.Generator,
-) -> PairProblem:
-    """Gather what the views a and b show in an even choice of the frames they share."""
-    shared = shared_frames(sample, a, b, config)
-    instances = sample.positions.shape[2]
-    affordable = max(config.least_frames, config.possible_matches // instances**2)
-    frames = evenly_spaced(shared, min(config.frames, affordable))
-    return PairProblem(
-        a=a,
-        b=b,
-        pair=gather_view_pair(sample, lifted, (a, b), frames),
-        shared_frames=len(shared),
-        tracked=bool(sample.tracked[a] and sample.tracked[b]),
-        rng=rng,
-    )
-
-
-def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
+def calibrate_pair(pair: ViewPair, config: PairwiseConfig) -> PairwiseCalibration | None:
     """Return the relative pose of the two views with the best score, and its alternatives.
 
     None if the views share no frame or nothing can be searched.
     """
-    if problem.shared_frames == 0:
+    if pair.shared_frames == 0:
         return None
-    pair = problem.pair
-    hypotheses = search_hypotheses(pair, problem.tracked, config, problem.rng)
-    if len(hypotheses) == 0:
+    found = search_hypotheses(pair, config)
+    if len(found.score) == 0:
         return None
-    current = score_hypotheses(pair, hypotheses, config)
     for _ in range(config.rounds):
-        current = refine_scored(pair, current, config)
+        found = refine_hypotheses(pair, found, config)
         distinct = well_separated(
-            current.hypotheses.rotation,
-            current.score,
+            found.rotation,
+            found.score,
             count=config.hypotheses_refined,
             separation_deg=config.separation_deg,
         )
-        current = current[distinct]
-    best, *alternatives = (_answer(problem, current, k) for k in range(len(current.score)))
+        found = found[distinct]
+    best, *alternatives = (_calibration(pair, found, k) for k in range(len(found.score)))
     return replace(best, alternatives=tuple(alternatives))
 
 
-def mean_focal(problem: PairProblem, focal: Floats) -> float:
+def mean_focal(pair: ViewPair, focal: Floats) -> float:
     """Return the mean focal length of the two views in pixels; focal: `[view]` of all views."""
-    return float(focal[[problem.a, problem.b]].mean())
+    return float(focal[list(pair.views)].mean())
 
 
 def judge_pair(
-    problem: PairProblem,
+    pair: ViewPair,
     *,
     rotation: Floats,
     translation: Floats,
@@ -229,20 +179,12 @@ def judge_pair(
     """
     if not len(matches):
         return None
-    matched = np.zeros(problem.pair.overlap.lifted.shape, dtype=bool)
+    matched = np.zeros(pair.lifted.shape, dtype=bool)
     frame, i, j = matches.T
     matched[frame, i, j] = True
-    translation = _with_baseline(problem.pair, rotation, translation, matched)
-    hypothesis = Hypotheses(rotation[None], translation[None], (source,))
-    scored = score_hypotheses(problem.pair, hypothesis, config)
-    return _calibration(problem, replace(scored, matched=matched[None]), 0)
-
-
-def _answer(problem: PairProblem, scored: Scored, k: int) -> PairwiseCalibration:
-    """Return one of the hypotheses with a baseline in body sizes."""
-    found = _calibration(problem, scored, k)
-    translation = _with_baseline(problem.pair, found.rotation, found.translation, scored.matched[k])
-    return replace(found, translation=translation)
+    translation = _with_baseline(pair, rotation, translation, matched)
+    found = score_hypotheses(pair, rotation[None], translation[None], np.array([source]), config)
+    return _calibration(pair, replace(found, matched=matched[None]), 0)
 
 
 def _with_baseline(pair: ViewPair, rotation: Floats, translation: Floats, matched: Bools) -> Floats:
@@ -252,27 +194,22 @@ def _with_baseline(pair: ViewPair, rotation: Floats, translation: Floats, matche
     return direction * float(np.median(ratios)) if len(ratios) else direction
 
 
-def _calibration(problem: PairProblem, scored: Scored, k: int) -> PairwiseCalibration:
-    """Return the record of one of the hypotheses."""
-    frame, i, j = np.nonzero(scored.matched[k])
+def _calibration(pair: ViewPair, found: Hypotheses, k: int) -> PairwiseCalibration:
+    """Return the record of one of the hypotheses, with a baseline in body sizes."""
+    rotation, translation, matched = found.rotation[k], found.translation[k], found.matched[k]
+    frame, i, j = np.nonzero(matched)
+    rays = matched_rays(pair, matched)
+    matrix = unit_essential_matrix(rotation, translation)
+    error = np.abs(sampson_angle(matrix, rays[:, :3], rays[:, 3:6]))
     return PairwiseCalibration(
-        a=problem.a,
-        b=problem.b,
-        rotation=scored.hypotheses.rotation[k],
-        translation=scored.hypotheses.translation[k],
-        matches=np.stack([problem.pair.frames[frame], i, j], 1),
-        frames=problem.shared_frames,
-        score=float(scored.score[k]),
-        residual=_median_error(problem.pair, scored, k),
-        in_front=float(scored.in_front[k]),
-        source=scored.hypotheses.source[k],
+        a=pair.views[0],
+        b=pair.views[1],
+        rotation=rotation,
+        translation=_with_baseline(pair, rotation, translation, matched),
+        matches=np.stack([pair.frames[frame], i, j], 1),
+        frames=pair.shared_frames,
+        score=float(found.score[k]),
+        residual=float(np.median(error)) if len(error) else np.inf,
+        in_front=float(found.in_front[k]),
+        source=str(found.source[k]),
     )
-
-
-def _median_error(pair: ViewPair, scored: Scored, k: int) -> float:
-    """Return the median epipolar error in radians of the matched joints, infinite if none."""
-    rays = matched_rays(pair, scored.matched[k])
-    if not len(rays):
-        return np.inf
-    matrix = unit_essential_matrix(scored.hypotheses.rotation[k], scored.hypotheses.translation[k])
-    return float(np.median(np.abs(sampson_angle(matrix, rays.a, rays.b))))

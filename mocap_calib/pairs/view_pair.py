@@ -3,7 +3,7 @@
 Lengths are in body sizes (RMS distance of the joints from their centroid).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,80 +44,72 @@ class Detections:
 
 
 @dataclass(frozen=True)
-class Overlap:
-    """Comparison of all lifted bodies X_a of one view with all X_b of the other (I x J a frame).
+class ViewPair:
+    """All that is needed to calibrate two views, and no more.
 
-    Sums run over the joints that both bodies have, with weights w of sum 1. s are the standard
-    deviations that the network predicts.
+    It may be pickled and travel to another machine. Lifted bodies X_a of one view are compared with
+    all X_b of the other (I x J a frame): sums run over the joints that both bodies have, with
+    weights w of sum 1. s are the standard deviations that the network predicts.
 
+    views: their indices. frames: `[frame]` indices into the sample of the frames looked at.
+    a, b: their detections (I and J instances).
     cross: `[reading, frame, I, J, 3, 3]` sum w X_a X_b'. One reading, or four for flat bodies,
         whose front and back cannot be told apart (see `with_reversals`).
     norm: `[frame, I, J]` sum w (|X_a|^2 + |X_b|^2).
     doubt: `[frame, I, J]` sum w (s_a^2 + s_b^2), the expected squared distance between two lifts
         of one body.
     lifted: `[frame, I, J]` 1 if both are lifted, else 0.
+    shared_frames: how many frames the two views share.
+    tracked: in both views the instance index names the same individual in all frames.
+    rng: of this pair alone, so that the order in which pairs are calibrated does not matter. It
+        is consumed.
     """
 
+    views: tuple[int, int]
+    frames: Ints
+    a: Detections
+    b: Detections
     cross: Floats
     norm: Floats
     doubt: Floats
     lifted: Floats
-
-
-@dataclass(frozen=True)
-class ViewPair:
-    """Detections of the views a and b (I and J instances) in some frames.
-
-    frames: `[frame]` index into the sample.
-    """
-
-    frames: Ints
-    a: Detections
-    b: Detections
-    overlap: Overlap
-
-
-@dataclass(frozen=True)
-class MatchedRays:
-    """N correspondences: the joints that both detections of a match have, of all matches.
-
-    a and b: `[N, 3]` unit rays of the two views.
-    weight: `[N]` product of the confidences.
-    body_sizes_per_radian: `[N]` of an epipolar error, see the function of this name.
-    """
-
-    a: Floats
-    b: Floats
-    weight: Floats
-    body_sizes_per_radian: Floats
-
-    def __len__(self) -> int:
-        return len(self.a)
-
-    def in_blocks(self, size: int) -> Floats:
-        """Return `[block, 8, LANES]` components, padded with rays of weight 0 to `size` rays."""
-        filled = np.zeros((-(-size // LANES) * LANES, 8))
-        columns = (self.weight[:, None], self.body_sizes_per_radian[:, None])
-        np.concatenate([self.a, self.b, *columns], axis=1, out=filled[: len(self)])
-        return np.ascontiguousarray(np.swapaxes(filled.reshape(-1, LANES, 8), 1, 2))
-
-
-def shared_frames(sample: Sample, a: int, b: int, config: PairwiseConfig) -> Ints:
-    """Return the indices `[frame]` of the frames in which both views show enough of a body."""
-    seen = np.isfinite(sample.positions[..., 0][[a, b]])
-    joints = seen.sum(-1)
-    return np.flatnonzero((joints >= config.least_joints).any(-1).all(0))
+    shared_frames: int
+    tracked: bool
+    rng: np.random.Generator
 
 
 def gather_view_pair(
-    sample: Sample, lifted: LiftedPoses, views: tuple[int, int], frames: Ints
+    sample: Sample,
+    lifted: LiftedPoses,
+    views: tuple[int, int],
+    *,
+    config: PairwiseConfig,
+    rng: np.random.Generator,
 ) -> ViewPair:
-    """Gather the detections of two views in some frames (`[frame]` indices into the sample)."""
+    """Gather what two views show in an even choice of the frames they share.
+
+    These are the frames in which both show enough of a body.
+    """
+    joints = np.isfinite(sample.positions[..., 0][list(views)]).sum(-1)
+    shared = np.flatnonzero((joints >= config.least_joints).any(-1).all(0))
+    affordable = max(config.least_frames, config.possible_matches // joints.shape[2] ** 2)
+    frames = evenly_spaced(shared, min(config.frames, affordable))
     a, b = (gather_detections(sample, lifted, view, frames) for view in views)
-    overlap = _compare_bodies(*(_bodies(lifted, view, frames) for view in views))
-    if are_flat(sample, lifted, views, frames):
-        overlap = replace(overlap, cross=with_reversals(overlap.cross[0], a.centre, b.centre))
-    return ViewPair(frames=frames, a=a, b=b, overlap=overlap)
+    cross, norm, doubt, both = _compare_bodies(*(_bodies(lifted, view, frames) for view in views))
+    flat = are_flat(sample, lifted, views, frames)
+    return ViewPair(
+        views=views,
+        frames=frames,
+        a=a,
+        b=b,
+        cross=with_reversals(cross, a.centre, b.centre) if flat else cross[None],
+        norm=norm,
+        doubt=doubt,
+        lifted=both,
+        shared_frames=len(shared),
+        tracked=bool(sample.tracked[list(views)].all()),
+        rng=rng,
+    )
 
 
 def gather_detections(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> Detections:
@@ -167,8 +159,13 @@ def _bodies(lifted: LiftedPoses, view: int, frames: Ints) -> tuple[Floats, Float
     return np.nan_to_num(joints), np.nan_to_num(precision), np.nan_to_num(variance)
 
 
-def _compare_bodies(a: tuple[Floats, ...], b: tuple[Floats, ...]) -> Overlap:
-    """Compare the lifted bodies of one view with those of the other; a, b: of `_bodies`."""
+def _compare_bodies(
+    a: tuple[Floats, ...], b: tuple[Floats, ...]
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Compare the lifted bodies of one view with those of the other; a, b: of `_bodies`.
+
+    Returns cross `[frame, I, J, 3, 3]`, norm, doubt and lifted, see `ViewPair`.
+    """
     (joints_a, precision_a, variance_a), (joints_b, precision_b, variance_b) = a, b
     total = _sum_over_joints(precision_a, precision_b)
     divisor = np.where(total > 0, total, 1.0)
@@ -187,12 +184,9 @@ def _compare_bodies(a: tuple[Floats, ...], b: tuple[Floats, ...]) -> Overlap:
         sum_a = _sum_over_joints(of_a * precision_a, precision_b)
         return (sum_a + _sum_over_joints(precision_a, of_b * precision_b)) / divisor
 
-    return Overlap(
-        cross=(cross / divisor[..., None, None])[None],
-        norm=mean_sum(square_a, square_b),
-        doubt=mean_sum(variance_a, variance_b),
-        lifted=(total > 0).astype(np.float64),
-    )
+    cross /= divisor[..., None, None]
+    norm, doubt = mean_sum(square_a, square_b), mean_sum(variance_a, variance_b)
+    return cross, norm, doubt, (total > 0).astype(np.float64)
 
 
 def _sum_over_joints(of_a: Floats, of_b: Floats) -> Floats:
@@ -252,18 +246,25 @@ def body_sizes_per_radian(pair: ViewPair) -> Floats:
     return np.sqrt(2.0 / (inverse_a + inverse_b))
 
 
-def matched_rays(pair: ViewPair, matched: Bools) -> MatchedRays:
-    """Return the rays of all joints of the matches `[frame, I, J]`."""
+def matched_rays(pair: ViewPair, matched: Bools) -> Floats:
+    """Return the rays `[N, 8]` of the joints that both detections of a match have, of all matches.
+
+    Unit rays of both views, the product of the confidences, and `body_sizes_per_radian`.
+    matched: `[frame, I, J]`.
+    """
     frame, i, j = np.nonzero(matched)
     weight = pair.a.weight[frame, i] * pair.b.weight[frame, j]
     seen = weight > 0
     body_sizes = np.broadcast_to(body_sizes_per_radian(pair)[frame, i, j][:, None], seen.shape)
-    return MatchedRays(
-        a=pair.a.rays[frame, i][seen],
-        b=pair.b.rays[frame, j][seen],
-        weight=weight[seen],
-        body_sizes_per_radian=body_sizes[seen],
-    )
+    rays_a, rays_b = pair.a.rays[frame, i][seen], pair.b.rays[frame, j][seen]
+    return np.column_stack([rays_a, rays_b, weight[seen], body_sizes[seen]])
+
+
+def in_blocks(rays: Floats, size: int) -> Floats:
+    """Return rays `[N, 8]` as `[block, 8, LANES]`, padded with rays of weight 0 to `size` rays."""
+    filled = np.zeros((-(-size // LANES) * LANES, 8))
+    filled[: len(rays)] = rays
+    return np.ascontiguousarray(np.swapaxes(filled.reshape(-1, LANES, 8), 1, 2))
 
 
 def distance_ratios(

@@ -15,7 +15,8 @@ from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseCon
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.lift.lifter import GEOMETRY_ALONE, Lifter, is_token
 from mocap_calib.pairs.affinity import mutual_best
-from mocap_calib.pairs.solve import PairProblem, PairSolver, judge_pair, mean_focal
+from mocap_calib.pairs.solve import PairSolver, judge_pair, mean_focal
+from mocap_calib.pairs.view_pair import ViewPair
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.types import Bools, Floats, Ints, Recording
 
@@ -231,23 +232,22 @@ class FivePointPairs:
     pairwise: PairwiseConfig
     config: FivePointConfig
 
-    def __call__(self, problem: PairProblem) -> PairwiseCalibration | None:
+    def __call__(self, pair: ViewPair) -> PairwiseCalibration | None:
         """Return the relative pose with most inliers, or None where nothing is matched."""
-        pair = problem.pair
-        if problem.shared_frames == 0:
+        if pair.shared_frames == 0:
             return None
-        focal = mean_focal(problem, self.focal)
+        focal = mean_focal(pair, self.focal)
         found = five_point_over_matches(
             pair.a.rays_or_nan,
             pair.b.rays_or_nan,
             self.config.inlier_px / focal,
-            problem.rng,
+            pair.rng,
             config=self.config,
         )
         if found is None:
             return None
         return judge_pair(
-            problem,
+            pair,
             rotation=found.rotation,
             translation=found.translation,
             matches=found.matches,

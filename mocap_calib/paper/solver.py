@@ -16,7 +16,8 @@ from torch import Tensor
 from mocap_calib.config import LEAST_JOINTS, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.lift.lift import rays_by_joint
-from mocap_calib.pairs.solve import PairProblem, judge_pair, mean_focal
+from mocap_calib.pairs.solve import judge_pair, mean_focal
+from mocap_calib.pairs.view_pair import ViewPair
 from mocap_calib.paper.losses import (
     Batch,
     TwoViews,
@@ -300,17 +301,17 @@ class PaperPairs:
     pairwise: PairwiseConfig
     config: PaperConfig
 
-    def __call__(self, problem: PairProblem) -> PairwiseCalibration | None:
+    def __call__(self, pair: ViewPair) -> PairwiseCalibration | None:
         """Return the relative pose that the descent ends in, or None where nothing is matched."""
-        if problem.shared_frames == 0:
+        if pair.shared_frames == 0:
             return None
-        frames = evenly_spaced(np.arange(len(problem.pair.frames)), self.config.frames)
-        generator = torch.Generator().manual_seed(int(problem.rng.integers(2**62)))
+        frames = evenly_spaced(np.arange(len(pair.frames)), self.config.frames)
+        generator = torch.Generator().manual_seed(int(pair.rng.integers(2**62)))
         with torch_threads(1):
-            found = solve_pair(self._two_views(problem, frames), self.model, self.config, generator)
+            found = solve_pair(self._two_views(pair, frames), self.model, self.config, generator)
         frame, instances = found.matches[:, 0], found.matches[:, 1:]
         return judge_pair(
-            problem,
+            pair,
             rotation=found.rotation,
             translation=found.translation,
             matches=np.column_stack([frames[frame], instances]),
@@ -318,9 +319,9 @@ class PaperPairs:
             config=self.pairwise,
         )
 
-    def _two_views(self, problem: PairProblem, frames: Ints) -> TwoViews:
+    def _two_views(self, pair: ViewPair, frames: Ints) -> TwoViews:
         """Return the rays of both views in the joints of the model, in some of the frames."""
-        pair, joints = problem.pair, self.model.config.joints
+        joints = self.model.config.joints
         rays_a = rays_by_joint(pair.a.rays_or_nan[frames], self.vocabulary, joints)
         rays_b = rays_by_joint(pair.b.rays_or_nan[frames], self.vocabulary, joints)
-        return TwoViews(rays_a, rays_b, mean_focal(problem, self.focal))
+        return TwoViews(rays_a, rays_b, mean_focal(pair, self.focal))

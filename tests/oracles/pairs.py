@@ -48,7 +48,7 @@ def share_of_depths(pair: ViewPair, hypotheses: Hypotheses, matched: Bools) -> F
         rays = matched_rays(pair, of_one)
         if len(rays):
             rotation, translation = hypotheses.rotation[m], hypotheses.translation[m]
-            depth_a, depth_b = depths(rotation, translation, rays.a, rays.b)
+            depth_a, depth_b = depths(rotation, translation, rays[:, :3], rays[:, 3:6])
             share[m] = ((depth_a > 0) & (depth_b > 0)).mean()
     return share
 

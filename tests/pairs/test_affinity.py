@@ -1,6 +1,7 @@
 """What detections say about a relative pose, held to its definitions."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ from mocap_calib.pairs.affinity import (
     pose_error,
     pose_variance,
 )
-from mocap_calib.pairs.search import Hypotheses
 from mocap_calib.pairs.view_pair import (
     body_sizes_per_radian,
     distance_ratios,
@@ -28,15 +28,21 @@ from mocap_calib.pairs.view_pair import (
     distances_by_size,
     gather_view_pair,
 )
+from mocap_calib.results import LiftedPoses
 
 
 def ten_frames_of_two_views():
-    return gather_view_pair(recording(), lifted(), (0, 1), np.arange(10))
+    bodies = LiftedPoses(*(each[:, :10] for each in vars(lifted()).values()))
+    sample = recording().select(frames=np.arange(10))
+    rng = np.random.default_rng(0)
+    pair = gather_view_pair(sample, bodies, (0, 1), config=PairwiseConfig(), rng=rng)
+    assert len(pair.frames) == 10
+    return pair
 
 
 def body_distance(pair, rotation):
     """The mean squared joint distance `[M, frame, I, J]` of lifted bodies, 0 if not lifted."""
-    every, shape = np.arange(pair.overlap.lifted.size), pair.overlap.lifted.shape
+    every, shape = np.arange(pair.lifted.size), pair.lifted.shape
     error = pose_error(pair, rotation, every, PairwiseConfig()).reshape(-1, *shape)
     return error * pose_variance(pair, PairwiseConfig())
 
@@ -91,7 +97,7 @@ def test_epipolar_error_is_sampsons_at_the_body():
 def poses_of_some_hypotheses():
     rng = np.random.default_rng(4)
     rotation = matrix_from_vector(rng.normal(size=(5, 3)))
-    return Hypotheses(rotation, rng.normal(size=(5, 3)), ("drawn",) * 5)
+    return SimpleNamespace(rotation=rotation, translation=rng.normal(size=(5, 3)))
 
 
 def test_the_compiled_fit_of_matches_is_that_of_the_definition():
@@ -106,15 +112,15 @@ def test_affinity_is_the_epipolar_fit_times_the_root_of_the_agreement_of_bodies(
     pair, config, poses = ten_frames_of_two_views(), PairwiseConfig(), poses_of_some_hypotheses()
     affinity, fit, pose = match_affinity(pair, poses.rotation, poses.translation, config)
     bodies = body_agreement(pair, poses.rotation, poses.translation, config)
-    expected = np.where(pair.overlap.lifted > 0, np.sqrt(bodies), 1.0)
+    expected = np.where(pair.lifted > 0, np.sqrt(bodies), 1.0)
     np.testing.assert_allclose(affinity, fit * expected, rtol=1e-9)
-    assert (pose[:, pair.overlap.lifted == 0] == 1).all()
+    assert (pose[:, pair.lifted == 0] == 1).all()
 
 
 def test_the_compiled_share_in_front_is_that_of_the_depths():
     pair, poses = ten_frames_of_two_views(), poses_of_some_hypotheses()
     rng = np.random.default_rng(6)
-    matched = rng.random((5, *pair.overlap.lifted.shape)) < 0.3
+    matched = rng.random((5, *pair.lifted.shape)) < 0.3
     matched[3] = False
     found = np.zeros(5)
     of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
@@ -127,16 +133,17 @@ def test_the_compiled_share_in_front_is_that_of_the_depths():
 def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
     """Both say the same of a pair of views, given the same distances of the bodies."""
     sample, rig, config = recording(), scene().rig, PairwiseConfig()
-    every = np.arange(len(sample.frames))
-    pair = gather_view_pair(sample, lifted(), (0, 2), every)
+    rng = np.random.default_rng(0)
+    pair = gather_view_pair(sample, lifted(), (0, 2), config=config, rng=rng)
     error, weight = oracle.epipolar_error(pair, *(part[None] for part in rig.relative(0, 2)))
     distance = distances(lifted().centre, sample.rays)
     affinity, comparable = epipolar_affinity(sample, rig, distance, config)
     instances = sample.positions.shape[2]
     rows, columns = slice(0, instances), slice(2 * instances, 3 * instances)
     fit = oracle.epipolar_fit(error, weight, config)[0]
-    np.testing.assert_allclose(affinity[:, rows, columns], fit, atol=1e-9)
-    assert ((comparable[:, rows, columns] > 0) | (fit == 0)).all()
+    assert len(pair.frames) > 50
+    np.testing.assert_allclose(affinity[pair.frames, rows, columns], fit, atol=1e-9)
+    assert ((comparable[pair.frames, rows, columns] > 0) | (fit == 0)).all()
     np.testing.assert_array_equal(affinity, np.swapaxes(affinity, 1, 2))
 
 
@@ -176,7 +183,7 @@ def test_distances_are_compared_where_joints_are_in_front_of_both_views():
     """Under a wrong pose, by which some joints are behind one of them."""
     pair, matched = ten_frames_of_two_views(), np.zeros((10, 3, 3), dtype=bool)
     matched[:, :2, 1:] = True
-    shape = pair.overlap.lifted.shape
+    shape = pair.lifted.shape
     matched = np.pad(matched, [(0, 0), (0, shape[1] - 3), (0, shape[2] - 3)])
     rotation, translation = matrix_from_vector(np.array([0.1, 1.0, 0.0])), np.array([1.0, 0.0, 2.0])
     expected, one_sided = [], 0

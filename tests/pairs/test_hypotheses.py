@@ -19,10 +19,12 @@ from mocap_calib.paper import (
 from mocap_calib.paper import _candidates as _five_point_candidates
 
 
-def pair_of(present_a: list[list[int]], present_b: list[list[int]]) -> SimpleNamespace:
+def pair_of(
+    present_a: list[list[int]], present_b: list[list[int]], *, tracked: bool = False
+) -> SimpleNamespace:
     """Views that have these detections, `[frame, instance]`."""
     a, b = (SimpleNamespace(present=np.array(each, bool)) for each in (present_a, present_b))
-    return SimpleNamespace(frames=np.arange(len(a.present)), a=a, b=b)
+    return SimpleNamespace(frames=np.arange(len(a.present)), a=a, b=b, tracked=tracked)
 
 
 def test_one_subject_in_each_view_is_one_individual():
@@ -31,18 +33,18 @@ def test_one_subject_in_each_view_is_one_individual():
         [[1, 0], [0, 1], [1, 1], [1, 0], [0, 0], [1, 0]],
         [[0, 1], [1, 0], [1, 0], [1, 1], [1, 0], [0, 1]],
     )
-    (matches,) = _known_identities(pair, False, PairwiseConfig())
+    (matches,) = _known_identities(pair, PairwiseConfig())
     assert matches.tolist() == [[0, 0, 1], [1, 1, 0], [5, 0, 1]]
     more = pair_of(
         [*pair.a.present.tolist(), [1, 1]],
         [*pair.b.present.tolist(), [1, 1]],
     )
-    assert _known_identities(more, False, PairwiseConfig()) == []
+    assert _known_identities(more, PairwiseConfig()) == []
 
 
 def test_any_two_tracks_may_be_one_individual_where_both_are_seen():
-    pair = pair_of([[1, 0], [1, 1], [0, 1]], [[1, 0], [1, 0], [1, 0]])
-    first, second = _known_identities(pair, True, PairwiseConfig())
+    pair = pair_of([[1, 0], [1, 1], [0, 1]], [[1, 0], [1, 0], [1, 0]], tracked=True)
+    first, second = _known_identities(pair, PairwiseConfig())
     assert first.tolist() == [[0, 0, 0], [1, 0, 0]]
     assert second.tolist() == [[1, 1, 0], [2, 1, 0]]
 

@@ -8,8 +8,8 @@ from scenes import lifted, precision, recording, scene
 from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.pairs.affinity import body_agreement, nearest_reading, pose_error
-from mocap_calib.pairs.solve import calibrate_pair, pair_problem
-from mocap_calib.pairs.view_pair import are_flat, gather_view_pair
+from mocap_calib.pairs.solve import calibrate_pair
+from mocap_calib.pairs.view_pair import ViewPair, are_flat, gather_view_pair
 from mocap_calib.results import LiftedPoses, PairwiseCalibration
 from mocap_calib.rig.associate import associate
 from mocap_calib.types import Sample, silent
@@ -60,6 +60,11 @@ def flat_scene(thickness: float) -> tuple[Sample, LiftedPoses]:
     return sample, bodies
 
 
+def gather(sample: Sample, bodies: LiftedPoses, config: PairwiseConfig) -> ViewPair:
+    """Return the pair of the two views."""
+    return gather_view_pair(sample, bodies, VIEWS, config=config, rng=np.random.default_rng(0))
+
+
 def test_only_flat_bodies_may_be_reversed():
     """A reversal moves people by 0.3 body sizes; the network is sure of them to 0.1."""
     assert not are_flat(recording(), lifted(), VIEWS, np.arange(60))
@@ -74,8 +79,8 @@ def test_only_flat_bodies_may_be_reversed():
 
 def test_the_nearest_reading_counts():
     sample, bodies = flat_scene(0.1)
-    pair = gather_view_pair(sample, bodies, VIEWS, FRAMES)
-    assert len(pair.overlap.cross) == 4
+    pair = gather(sample, bodies, PairwiseConfig())
+    assert len(pair.cross) == 4
     rotation = matrix_from_vector(np.array([[0.3, -1.0, 0.2], [0.1, 0.5, 0.0]]))
     translation = np.array([[1.0, 1.0, 1.0], [1.0, 2.0, 3.0]])
     of_readings = []
@@ -83,10 +88,9 @@ def test_the_nearest_reading_counts():
         for of_b in (False, True):
             which = np.zeros(bodies.centre.shape[:3], dtype=bool)
             which[0], which[1] = of_a, of_b
-            mirrored = gather_view_pair(sample, reversed_in_depth(bodies, which), VIEWS, FRAMES)
-            one = replace(mirrored.overlap, cross=mirrored.overlap.cross[:1])
-            of_readings.append(replace(mirrored, overlap=one))
-    every = np.arange(pair.overlap.lifted.size)
+            mirrored = gather(sample, reversed_in_depth(bodies, which), PairwiseConfig())
+            of_readings.append(replace(mirrored, cross=mirrored.cross[:1]))
+    every = np.arange(pair.lifted.size)
     errors = [pose_error(one, rotation, every, PairwiseConfig()) for one in of_readings]
     found = pose_error(pair, rotation, every, PairwiseConfig())
     np.testing.assert_allclose(found, np.min(errors, 0), atol=1e-9)
@@ -98,8 +102,8 @@ def test_the_nearest_reading_counts():
         np.max(agreements, 0),
         atol=1e-9,
     )
-    matched = pair.overlap.lifted > 0
-    crosses = [one.overlap.cross[0][matched] for one in of_readings]
+    matched = pair.lifted > 0
+    crosses = [one.cross[0][matched] for one in of_readings]
     traces = [np.einsum("ij,nji->n", rotation[0], cross) for cross in crosses]
     nearest = np.stack(crosses)[np.argmax(traces, 0), np.arange(matched.sum())]
     np.testing.assert_allclose(nearest_reading(pair, rotation[0], matched), nearest, atol=1e-12)
@@ -115,8 +119,7 @@ def solve(
     sample: Sample, bodies: LiftedPoses, config: PairwiseConfig
 ) -> tuple[PairwiseCalibration, float, float]:
     """Return the answer for the two views, and its E_R and E_t in degrees."""
-    rng = np.random.default_rng(0)
-    found = calibrate_pair(pair_problem(sample, bodies, *VIEWS, config=config, rng=rng), config)
+    found = calibrate_pair(gather(sample, bodies, config), config)
     assert found is not None
     rotation, translation = scene().rig.relative(*VIEWS)
     turned = np.degrees(angle_between(found.rotation, rotation))

@@ -14,8 +14,8 @@ from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.kernels.pair_refinement import LANES
 from mocap_calib.pairs.search import refine_poses
-from mocap_calib.pairs.solve import calibrate_pair, calibrate_pairs, pair_problem
-from mocap_calib.pairs.view_pair import MatchedRays
+from mocap_calib.pairs.solve import calibrate_pair, calibrate_pairs
+from mocap_calib.pairs.view_pair import gather_view_pair, in_blocks
 from mocap_calib.paper import FivePointConfig, FivePointPairs
 from mocap_calib.paper.solver import PaperConfig, PaperPairs
 from mocap_calib.results import PairwiseCalibration
@@ -37,12 +37,12 @@ def test_refinement_finds_the_pose_among_gross_outliers():
     b[:400] = rng.permutation(b[:400])
     a, b = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (a, b))
     start = matrix_from_vector(np.radians([[3.0, -4.0, 3.0]])) @ rotation
-    rays = MatchedRays(a, b, np.ones(2000), np.full(2000, 5.0))
+    rays = np.column_stack([a, b, np.ones(2000), np.full(2000, 5.0)])
     found, direction = refine_poses(
         start,
         translation[None] + 0.3,
         PairwiseConfig(inlier=0.05),
-        rays=rays.in_blocks(2000)[None],
+        rays=in_blocks(rays, 2000)[None],
         cross=np.zeros((1, 3, 3)),
         inertia=np.zeros(1),
     )
@@ -110,7 +110,7 @@ def pair_of(
 ) -> PairwiseCalibration | None:
     config = config or PairwiseConfig()
     rng = np.random.default_rng(0)
-    return calibrate_pair(pair_problem(found, lifted(), a, b, config=config, rng=rng), config)
+    return calibrate_pair(gather_view_pair(found, lifted(), (a, b), config=config, rng=rng), config)
 
 
 def test_pairs_may_be_calibrated_elsewhere_and_in_any_order():
@@ -180,7 +180,7 @@ def test_the_five_point_baseline_is_judged_as_any_other_pair():
     config = PairwiseConfig(frames=10)
     solve = FivePointPairs(focal, config, FivePointConfig(candidates=20))
     rng = np.random.default_rng(0)
-    found = solve(pair_problem(sample, lifted(), 1, 3, config=config, rng=rng))
+    found = solve(gather_view_pair(sample, lifted(), (1, 3), config=config, rng=rng))
     searched = pair_of(sample, 1, 3)
     rotation, translation = rig.relative(1, 3)
     assert found.source == "five-point"
@@ -194,14 +194,15 @@ def test_the_five_point_baseline_is_judged_as_any_other_pair():
 def test_the_papers_solver_is_given_the_rays_of_each_view_in_the_joints_of_its_network():
     """Which has them in another order, and one that nobody detects."""
     sample, rng = recording(), np.random.default_rng(0)
-    problem = pair_problem(sample, lifted(), 1, 3, config=PairwiseConfig(frames=10), rng=rng)
+    config = PairwiseConfig(frames=10)
+    pair = gather_view_pair(sample, lifted(), (1, 3), config=config, rng=rng)
     focal = np.array([camera.focal for camera in sample.cameras])
     keypoints = len(sample.keypoints)
     network = SimpleNamespace(config=SimpleNamespace(joints=keypoints + 1))
     reverse = np.arange(keypoints)[::-1]
     solve = PaperPairs(network, reverse, focal, PairwiseConfig(), PaperConfig())
-    given = solve._two_views(problem, np.array([2, 5]))
-    for rays, seen in ((given.rays_a, problem.pair.a), (given.rays_b, problem.pair.b)):
+    given = solve._two_views(pair, np.array([2, 5]))
+    for rays, seen in ((given.rays_a, pair.a), (given.rays_b, pair.b)):
         np.testing.assert_array_equal(rays[..., :-1, :], seen.rays_or_nan[[2, 5]][..., ::-1, :])
         assert np.isnan(rays[..., -1, :]).all()
     assert given.focal == pytest.approx((focal[1] + focal[3]) / 2)
