@@ -271,8 +271,7 @@ class PosesConfig:
     losses: of angles between rays and points, in standard deviations, among which held-out
         detections choose, the usual one first. Chosen: the narrow one for most detectors, where it
         would cost projected recordings 2 to 3 %; the wide one for normal errors (HumanEva -2.7 %,
-        mice -1.3 %). first_loss: how much wider it is at the first step; half of that at each that
-        follows.
+        mice -1.3 %).
     prior_loss: of accelerations and of bones: most are small, some large. Measured on ten
         recordings: with 3 errors change by +5 % of HumanEva, +2.5 % of two dogs, at most 1 % of the
         others.
@@ -284,7 +283,7 @@ class PosesConfig:
         do not follow each other.
     bones: standard deviation of lengths, beyond what they were measured to vary by. Twice of it
         costs two dogs 9 %, and others up to 1 %.
-    held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
+    held_out_stretch: frames of bodies, in four of which they choose.
     steps: of Gauss-Newton, twice as many to fit points as to choose strengths, and to fit points
         again without the detections that the first fit drops; and of conjugate gradients in each.
     ridge: inverse variance of a point before anything is known of it, which damps the steps.
@@ -295,12 +294,10 @@ class PosesConfig:
 
     smooth: SmoothMode = "auto"
     losses: tuple[float, ...] = (2.5, 4.0, 1.5)
-    first_loss: float = 4.0
     prior_loss: float = 2.0
     shared_acceleration: float = 0.25
     accelerations: tuple[float, ...] = tuple(0.2 / 2**k for k in range(6))
     bones: float = 0.012
-    held_out_frames: int = 200
     held_out_stretch: int = 50
     steps: int = 4
     ridge: float = 1e-2

@@ -49,14 +49,13 @@ def fit(
 ) -> Floats:
     """Return the points `[keypoint, frame, 3]` of least energy, from those to start from.
 
-    steps: number of Gauss-Newton steps. The loss of rays starts wide and narrows, because the start
-        may rest on a wrong detection.
+    steps: number of Gauss-Newton steps.
     """
     packed = _pack(points, seen, body, strengths, config)
     found = packed.points
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     rounds = config.steps if len(packed.edges) else 0
-    for step in range(steps):
+    for _ in range(steps):
         packed.share_accelerations(config)
         pose_energy.sum_terms(
             packed.rays,
@@ -64,7 +63,7 @@ def fit(
             found,
             packed.edges,
             packed.bones,
-            strengths.loss * max(config.first_loss / 2**step, 1.0),
+            strengths.loss,
             config.prior_loss,
             packed.along,
             packed.factor,

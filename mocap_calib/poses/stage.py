@@ -193,15 +193,14 @@ def smooth_group(group: GroupResult, config: Config, *, progress: Progress = sil
 
 
 def _choose(scene: _Scene) -> tuple[Strengths, float, float]:
-    """Return how strongly to smooth, see `choose_strengths`, by stretches of frames.
+    """Return how strongly to smooth, see `choose_strengths`, by four stretches of frames.
 
     These are even over the frames of all individuals, as if they came one after the other.
     """
     config, individuals = scene.config, scene.individuals
     frames = np.concatenate([who.frames for who in individuals])
     owner = np.repeat(np.arange(len(individuals)), [len(who.frames) for who in individuals])
-    number = config.held_out_frames // config.held_out_stretch
-    middles = ((np.arange(number) + 0.5) * len(frames) / number).astype(np.int64)
+    middles = ((np.arange(4) + 0.5) * len(frames) / 4).astype(np.int64)
     around = np.arange(config.held_out_stretch) - config.held_out_stretch // 2
     places = np.unique(np.clip(middles[:, None] + around, 0, len(frames) - 1))
     tracks = [
