@@ -18,7 +18,7 @@ from mocap_calib.recording.timeline import describe_epochs, own_name, views_by_c
 from mocap_calib.results import (
     POINT_SOURCES,
     CalibrationResult,
-    Check,
+    Cause,
     Fault,
     GroupResult,
     PairwiseCalibration,
@@ -364,7 +364,7 @@ def _sigmas(group: GroupResult, turn: float, length: float) -> dict[str, float |
     }
 
 
-def _describe_check(check: Check) -> dict[str, Any]:
+def _describe_check(check: Cause) -> dict[str, Any]:
     """Return what a check found, and whether that is what sound recordings show."""
     return {
         "name": check.name,

@@ -365,9 +365,8 @@ class Uncertainty(Record):
     """How well the detections determine a rig.
 
     covariance: of where the cameras stand; what wrong intrinsics may do is part of it.
-    intrinsics_turn: `[view]` radians that a camera may be turned by because of its intrinsics: of
-        given focal lengths, what the rig changes by when they are free; of estimated ones their
-        uncertainty; and that of a principal point taken to be in the middle of the image.
+    intrinsics_turn: `[view]` radians that a camera may be turned by because of its focal length: of
+        given ones, what the rig changes by when they are free; of estimated ones their uncertainty.
     outlier_cameras: `[view]` cameras whose errors are several times those of the others.
     weak_perspective: `[view]` cameras in whose images perspective drowns in noise: their distance
         follows from their focal length alone.
@@ -386,29 +385,12 @@ class Uncertainty(Record):
 
 
 @dataclass(frozen=True)
-class Check:
-    """A measure of a rig that is independent of its covariance; docs/how-good.md has them all.
-
-    error_deg: rotation error in degrees that it stands for, NaN = nothing to measure. camera: the
-    one with this value, "" = all.
-    """
-
-    name: str
-    error_deg: float = np.nan
-    camera: str = ""
-
-    @property
-    def passed(self) -> bool:
-        """Whether it stands for no more than what a well determined rig may have."""
-        return not self.error_deg > VERDICT_LIMITS_DEG[0]
-
-
-@dataclass(frozen=True)
 class Cause:
-    """A named part of the expected error of a rig.
+    """A named part of the expected error of a rig; docs/how-good.md has them all.
 
-    camera: the one that it is of, "" = all. error_deg: rotation error that it stands for. meaning:
-    what was found, with its subject. remedy: what to do about it.
+    camera: the one that it is of, "" = all. error_deg: rotation error that it stands for, NaN = a
+    check that had nothing to measure. meaning: what was found, with its subject. remedy: what to do
+    about it.
     """
 
     name: str
@@ -420,19 +402,24 @@ class Cause:
     def __str__(self) -> str:
         return f"{self.meaning}; {self.remedy}"
 
+    @property
+    def passed(self) -> bool:
+        """Whether it stands for no more than what a well determined rig may have."""
+        return not self.error_deg > VERDICT_LIMITS_DEG[0]
+
 
 @dataclass(frozen=True)
 class Verdict:
     """How far a rig can be trusted; all of it follows from its causes.
 
     error_deg: expected rotation error of the least certain camera, in degrees: the root of the sum
-        of the squares of its causes. causes: of all cameras, the largest first. checks: all that
-        were made, passed or not.
+        of the squares of its causes. causes: of all cameras, the largest first. checks: those that
+        were measured on the residuals, also where nothing was found.
     """
 
     error_deg: float = np.inf
     causes: tuple[Cause, ...] = ()
-    checks: tuple[Check, ...] = ()
+    checks: tuple[Cause, ...] = ()
 
     @property
     def word(self) -> VerdictWord:

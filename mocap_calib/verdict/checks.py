@@ -16,7 +16,7 @@ from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES, VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.results import Check, GroupResult, Matches
+from mocap_calib.results import Cause, GroupResult, Matches
 from mocap_calib.rig import labelled_frames, matched_pixels, matched_share
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
@@ -157,14 +157,15 @@ class CheckKind:
     remedy: str
     measure: Callable[[Look], float | Floats]
 
-    def check(self, look: Look) -> Check:
+    def check(self, look: Look) -> Cause:
         """Return the check of a group: of the camera with the largest value."""
         values = np.atleast_1d(self.measure(look))
         if not np.isfinite(values).any():
-            return Check(self.name)
+            return Cause(self.name, "", np.nan, self.meaning, self.remedy)
         worst = int(np.nanargmax(values))
         camera = look.group.rig.names[worst] if len(values) > 1 else ""
-        return Check(self.name, float(values[worst]), camera)
+        meaning = self.meaning.format(value=values[worst], camera=camera)
+        return Cause(self.name, camera, float(values[worst]), meaning, self.remedy)
 
 
 def describe_checks() -> dict[str, dict[str, object]]:
@@ -173,12 +174,7 @@ def describe_checks() -> dict[str, dict[str, object]]:
     return {kind.name: {"text": kind.text, "sound": sound} for kind in CHECKS}
 
 
-def kind_of(check: Check) -> CheckKind:
-    """Return the row of the table for a check."""
-    return next(kind for kind in CHECKS if kind.name == check.name)
-
-
-def check_rig(group: GroupResult, config: Config) -> tuple[Check, ...]:
+def check_rig(group: GroupResult, config: Config) -> tuple[Cause, ...]:
     """Return all checks of the rig of a group."""
     focal = np.array([camera.focal for camera in group.rig.cameras])[:, None, None, None, None]
     look = Look(group, np.rad2deg(residuals_of(group).gap / focal), config)

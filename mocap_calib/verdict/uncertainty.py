@@ -26,13 +26,11 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import DECISIVE_NATS, Config, IntrinsicsConfig, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import change_intrinsics
-from mocap_calib.geometry.rotation import project_out_similarity, rig_change, rig_size
+from mocap_calib.geometry.rotation import rig_change, rig_size
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import Matches, RigCovariance, Uncertainty
 from mocap_calib.rig import labelled_frames
 from mocap_calib.types import POSE, Bools, Camera, CameraRig, EstimatedCamera, Floats, Sample
-
-_SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
 
 
 @single_threaded_libraries()
@@ -46,7 +44,9 @@ def assess_uncertainty(
     fit = measure_fit(sample, rig, matches, config)
     covariance = rig_covariance(sample, rig, matches, config)
     free = _free_focal(sample, rig, matches, config)
-    off = _intrinsics_changes(sample, rig, matches, config, free=free)
+    off = estimated_focal_changes(sample, rig, matches, config)
+    if free is not None:
+        off = np.concatenate([off, given_focal_change(rig, free, config.uncertainty)[None]])
     change, sigma = np.full((2, len(rig.cameras)), np.nan)
     # what was estimated is not found to be wrong
     if free is not None and not any(isinstance(each, EstimatedCamera) for each in rig.cameras):
@@ -54,7 +54,7 @@ def assess_uncertainty(
     tells = len(labelled_frames(matches)) >= config.uncertainty.time_blocks
     return Uncertainty(
         covariance=covariance.with_changes(off),
-        intrinsics_turn=_turn_of(off),
+        intrinsics_turn=np.sqrt((off[..., :3] ** 2).sum((0, 2))),
         outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & tells,
         weak_perspective=find_weak_perspective(fit),
         focal_change=change,
@@ -78,71 +78,6 @@ def _free_focal(
         return free_focal_lengths(sample, rig, matches, config)
     except DegenerateError:
         return None
-
-
-def _intrinsics_changes(
-    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, free: FreeFocal | None
-) -> Floats:
-    """Return by how much `[change, view, 6]` cameras may be off because of intrinsics.
-
-    Focal lengths that were given, or estimated as one for several cameras, may each be another.
-    Those that were estimated are known to a standard deviation, and so is a principal point that is
-    taken to be in the middle of the image.
-    """
-    off = [
-        estimated_focal_changes(sample, rig, matches, config),
-        assumed_middle_changes(rig, config.uncertainty),
-    ]
-    if free is not None:
-        off.append(given_focal_change(rig, free, config.uncertainty)[None])
-    return np.concatenate(off)
-
-
-def assumed_middle_changes(rig: CameraRig, config: UncertaintyConfig) -> Floats:
-    """Return by how much `[change, view, 6]` cameras may be off because of their principal points.
-
-    A camera whose principal point is beside the middle of the image is turned by that angle in a
-    rig that takes it to be there. Of cameras whose intrinsics were estimated, and which have it in
-    the middle: two changes each, about the two axes of the image.
-    """
-    changes = []
-    for view, camera in enumerate(rig.cameras):
-        beside = np.abs(camera.matrix[:2, 2] - (np.array(camera.size) - 1) / 2).max()
-        if isinstance(camera, EstimatedCamera) and beside <= _SAME_POINT:
-            changes.append(_middle_changes(rig, view, config.principal_point * max(camera.size)))
-    return np.concatenate([np.zeros((0, len(rig.cameras), POSE)), *changes])
-
-
-def with_uncertain_corner(
-    uncertainty: Uncertainty, rig: CameraRig, view: int, sigma: float, config: UncertaintyConfig
-) -> Uncertainty:
-    """Return what is uncertain when a camera shows a part of its images, estimated where.
-
-    sigma: standard deviation in pixels of the corner of that part, by the errors of the
-        detections. What is wrong with their joints moves the corner as well: it is known no better
-        than where an image is taken to have its middle.
-    """
-    sigma = float(np.hypot(sigma, config.principal_point * max(rig.cameras[view].size)))
-    off = _middle_changes(rig, view, sigma)
-    turn = np.hypot(uncertainty.intrinsics_turn, _turn_of(off))
-    covariance = uncertainty.covariance.with_changes(off)
-    return replace(uncertainty, covariance=covariance, intrinsics_turn=turn)
-
-
-def _turn_of(changes: Floats) -> Floats:
-    """Return by how much `[view]` radians all changes `[change, view, 6]` together turn cameras."""
-    return np.asarray(np.sqrt((changes[..., :3] ** 2).sum((0, 2))))
-
-
-def _middle_changes(rig: CameraRig, view: int, sigma: float) -> Floats:
-    """Return by how much `[2, view, 6]` cameras are off when one principal point is off.
-
-    sigma: in pixels, along both axes of the image of that view.
-    """
-    changes = np.zeros((2, len(rig.cameras), POSE))
-    # x and y of the camera, in the world
-    changes[:, view, :3] = sigma / rig.cameras[view].focal * rig.rotation[view, :2]
-    return np.stack([project_out_similarity(change, rig) for change in changes])
 
 
 def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfig) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config
+from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config, UncertaintyConfig
 from mocap_calib.pairs.solve import in_recording
 from mocap_calib.recording.corrections import Cropped
 from mocap_calib.results import (
@@ -20,7 +20,6 @@ from mocap_calib.results import (
     Averaged,
     CalibrationResult,
     Cause,
-    Check,
     Clocks,
     Fault,
     GroupResult,
@@ -33,10 +32,11 @@ from mocap_calib.rig import labelled_frames
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.rig.view_graph import Observed
 from mocap_calib.types import CameraRig, EstimatedCamera, Progress, Sample, silent
-from mocap_calib.verdict.checks import OPEN_DEG, check_rig, kind_of
-from mocap_calib.verdict.uncertainty import assess_uncertainty, with_uncertain_corner
+from mocap_calib.verdict.checks import OPEN_DEG, check_rig
+from mocap_calib.verdict.uncertainty import assess_uncertainty
 from mocap_calib.wording import count
 
+_SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
 _HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected
 
 
@@ -49,15 +49,14 @@ def judge(result: CalibrationResult) -> CalibrationResult:
     groups = []
     for group in result.groups:
         checks, config = group.assessment.checks, result.config
-        judged = _with_estimated_crops(group, result.faults, config)
-        verdict = assess(judged, checks, config, faults=result.faults, clocks=result.clocks)
-        groups.append(_without_accusations(replace(judged, assessment=verdict)))
+        verdict = assess(group, checks, config, faults=result.faults, clocks=result.clocks)
+        groups.append(_without_accusations(replace(group, assessment=verdict)))
     return replace(result, groups=tuple(groups))
 
 
 def assess(
     group: GroupResult,
-    checks: tuple[Check, ...],
+    checks: tuple[Cause, ...],
     config: Config,
     *,
     faults: Sequence[Fault] = (),
@@ -65,9 +64,9 @@ def assess(
 ) -> Verdict:
     """Return the verdict on the rig of a group. checks: of the group, as of `check_rig`."""
     causes = [
-        *_covariance(group, faults, config),
-        *_principal_points(group, config),
-        *(_of_check(check) for check in checks if check.error_deg > 0),
+        *_covariance(group, config),
+        *_principal_points(group, faults, config.uncertainty),
+        *(check for check in checks if check.error_deg > 0),
         *_left_open(group),
         *_uncorrected(group, faults),
         *_other_clocks(clocks),
@@ -155,19 +154,15 @@ def conclude_without_pairs(
     )
 
 
-def _covariance(group: GroupResult, faults: Sequence[Fault], config: Config) -> Iterator[Cause]:
+def _covariance(group: GroupResult, config: Config) -> Iterator[Cause]:
     """Yield the standard deviation of each camera, with what would lower it."""
     sigma = np.rad2deg(group.uncertainty.covariance.rotation_sigma)
     turn = np.rad2deg(group.uncertainty.intrinsics_turn)
-    crops = {fault.camera: fault.says for fault in faults if isinstance(fault.mend, Cropped)}
     estimated = any(isinstance(camera, EstimatedCamera) for camera in group.rig.cameras)
     for view, name in enumerate(group.rig.names):
         meaning = f"{name}: rotation +-{sigma[view]:.1f} deg"
         if 2 * turn[view] ** 2 <= sigma[view] ** 2:
             remedy = _remedy(group, view, config) if view == sigma.argmax() else "record longer"
-        elif name in crops:
-            meaning += f", as {crops[name]}, which is an estimate"
-            remedy = "undo it, or state what is known of it"
         elif estimated:
             meaning += ", mostly because its intrinsics were estimated"
             remedy = "give them (--cameras)"
@@ -177,29 +172,35 @@ def _covariance(group: GroupResult, faults: Sequence[Fault], config: Config) -> 
         yield Cause("covariance", name, float(sigma[view]), meaning, remedy)
 
 
-def _principal_points(group: GroupResult, config: Config) -> Iterator[Cause]:
-    """Yield what is not known of each given principal point: no residual shows it.
+def _principal_points(
+    group: GroupResult, faults: Sequence[Fault], config: UncertaintyConfig
+) -> Iterator[Cause]:
+    """Yield what is not known of each principal point, about both axes: no residual shows it.
 
-    Of estimated intrinsics it is part of the covariance.
+    What is wrong with joints moves the corner of a cropped image: it is known no better than where
+    an image is taken to have its middle.
     """
+    crops = {
+        fault.camera: (fault.says, fault.mend.sigma)
+        for fault in faults
+        if isinstance(fault.mend, Cropped)
+    }
     for camera in group.rig.cameras:
-        if not isinstance(camera, EstimatedCamera):
-            sigma = config.uncertainty.given_principal_point * max(camera.size) / camera.focal
-            yield Cause(
-                "principal point",
-                camera.name,
-                float(np.rad2deg(np.sqrt(2) * sigma)),
-                f"{camera.name}: its principal point is known to "
-                f"{config.uncertainty.given_principal_point:.1%} of the image at best",
-                "calibrate its intrinsics with a board",
-            )
-
-
-def _of_check(check: Check) -> Cause:
-    """Return the cause that a check is, with its meaning in words."""
-    kind = kind_of(check)
-    meaning = kind.meaning.format(value=check.error_deg, camera=check.camera)
-    return Cause(check.name, check.camera, check.error_deg, meaning, kind.remedy)
+        beside = np.abs(camera.matrix[:2, 2] - (np.array(camera.size) - 1) / 2).max()
+        sigma = config.principal_point * max(camera.size)
+        meaning, remedy = "its principal point is taken to be in the middle", "give its intrinsics"
+        if camera.name in crops:
+            says, corner = crops[camera.name]
+            sigma = float(np.hypot(sigma, corner))
+            meaning = f"{says}, which is an estimate"
+            remedy = "undo it, or state what is known of it"
+        elif not isinstance(camera, EstimatedCamera) or beside > _SAME_POINT:
+            sigma = config.given_principal_point * max(camera.size)
+            share = f"{config.given_principal_point:.1%}"
+            meaning = f"its principal point is known to {share} of the image at best"
+            remedy = "calibrate its intrinsics with a board"
+        turn = float(np.rad2deg(np.sqrt(2) * sigma / camera.focal))
+        yield Cause("principal point", camera.name, turn, f"{camera.name}: {meaning}", remedy)
 
 
 def _left_open(group: GroupResult) -> Iterator[Cause]:
@@ -245,20 +246,6 @@ def _other_clocks(clocks: Clocks | None) -> Iterator[Cause]:
         if clock.differs:
             meaning = f"{clock.camera}: it is on another clock, which was not corrected"
             yield Cause("clock", clock.camera, OPEN_DEG, meaning, "use --sync auto")
-
-
-def _with_estimated_crops(
-    group: GroupResult, faults: Sequence[Fault], config: Config
-) -> GroupResult:
-    """Return the group with what the estimates of cropped images leave unknown."""
-    known = group.uncertainty
-    for fault in faults:
-        if isinstance(fault.mend, Cropped) and fault.camera in group.rig.names:
-            view = group.rig.names.index(fault.camera)
-            known = with_uncertain_corner(
-                known, group.rig, view, fault.mend.sigma, config.uncertainty
-            )
-    return replace(group, uncertainty=known)
 
 
 def _without_accusations(group: GroupResult) -> GroupResult:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import uncertainty
 from scenes import lifted, recording, rotation_errors_deg, scene, truth, turn_cameras
 
 from mocap_calib.adjust.covariance import Covariance
@@ -18,7 +17,7 @@ from mocap_calib.adjust.intrinsics import (
 from mocap_calib.adjust.problem import free_intrinsics
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.adjust.solve import Parameters
-from mocap_calib.config import Config, IntrinsicsConfig, UncertaintyConfig
+from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.sampling import with_cameras
@@ -29,11 +28,9 @@ from mocap_calib.types import (
     silent,
 )
 from mocap_calib.verdict.uncertainty import (
-    assumed_middle_changes,
     estimated_focal_changes,
     find_wrong_focal,
     given_focal_change,
-    with_uncertain_corner,
 )
 
 SMALL = {"cameras": 3, "people": 1, "false_detections": 0.0}
@@ -202,37 +199,6 @@ def test_a_rig_is_as_uncertain_as_its_focal_lengths():
         for sigma in (0.05, 0.1)
     )
     assert large / small == pytest.approx(2, abs=0.5)
-
-
-def test_an_assumed_principal_point_turns_a_camera_by_its_angle():
-    """Two axes of each camera that has it in the middle; a fifth goes with the rig."""
-    rig, config = uncertain(scene(**SMALL).rig, 0.01), UncertaintyConfig()
-    assert assumed_middle_changes(rig, config).shape == (0, 3, 6)  # those of the scene are beside
-    size = np.array(rig.cameras[1].size)
-    matrix = rig.cameras[1].matrix.copy()
-    matrix[:2, 2] = (size - 1) / 2
-    assumed = (rig.cameras[0], replace(rig.cameras[1], matrix=matrix), rig.cameras[2])
-    changes = assumed_middle_changes(replace(rig, cameras=assumed), config)
-    assert changes.shape == (2, 3, 6)
-    angle = config.principal_point * size.max() / rig.cameras[1].focal
-    turns = np.linalg.norm(changes[..., :3], axis=2)
-    assert (turns.argmax(1) == 1).all()
-    np.testing.assert_allclose(turns[:, 1] / angle, 0.8, atol=0.06)  # measured 0.78 and 0.83
-    axes = rig.rotation[1, :2]
-    np.testing.assert_allclose((changes[:, 1, :3] * axes).sum(1), turns[:, 1], rtol=0.1)
-
-
-def test_an_estimated_corner_of_a_crop_turns_its_camera_and_hardly_the_others():
-    rig, config = scene(**SMALL).rig, UncertaintyConfig(principal_point=0.0)
-    sure = uncertainty(0.0)
-    assert with_uncertain_corner(sure, rig, 1, 0.0, config).covariance.rotation_sigma.max() == 0
-    found = with_uncertain_corner(sure, rig, 1, 20.0, config)
-    angle = 20.0 / rig.cameras[1].focal
-    # about two axes, of which a fifth goes with the rig: measured 1.14, 0.25 and 0.25
-    share = found.covariance.rotation_sigma / angle
-    assert share[1] == pytest.approx(1.14, abs=0.1)
-    assert share[[0, 2]].max() < 0.4
-    np.testing.assert_allclose(found.intrinsics_turn, found.covariance.rotation_sigma)
 
 
 def test_a_wrong_focal_length_is_found_and_right_ones_are_not_accused():

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,17 +15,17 @@ from mocap_calib.recording.corrections import Cropped
 from mocap_calib.results import (
     CalibrationResult,
     Cause,
-    Check,
     Clocks,
     Fault,
     GroupResult,
     Verdict,
 )
-from mocap_calib.types import CameraClock
+from mocap_calib.types import Camera, CameraClock, EstimatedCamera
 from mocap_calib.verdict.checks import CHECKS, check_rig
-from mocap_calib.verdict.verdict import assess, expected_error, judge
+from mocap_calib.verdict.verdict import _principal_points, assess, expected_error, judge
 
 CONFIG = Config()
+UNCERTAINTY = CONFIG.uncertainty
 
 
 @pytest.mark.parametrize(
@@ -76,12 +77,34 @@ def test_of_each_kind_the_largest_cause_is_a_reason():
 
 
 def test_a_check_without_a_value_does_not_fail():
-    assert Check("errors").passed
-    assert Check("errors", 0.9).passed
-    assert not Check("errors", 1.1).passed
+    assert cause(np.nan).passed
+    assert cause(0.9).passed
+    assert not cause(1.1).passed
 
 
-def values(group: GroupResult) -> dict[str, Check]:
+@pytest.mark.parametrize(
+    ("estimated", "beside", "corner", "share"),
+    [
+        (False, 0.0, None, 0.005),
+        (True, 5.0, None, 0.005),  # it was given
+        (True, 0.5, None, 0.018),  # readers differ by half a pixel in where the middle is
+        (False, 5.0, 0.024, 0.03),  # a cropped image
+    ],
+)
+def test_what_is_not_known_of_a_principal_point_turns_its_camera(estimated, beside, corner, share):
+    matrix = np.diag([500.0, 500.0, 1.0])
+    matrix[:2, 2] = 319.5 + beside, 239.5
+    camera = Camera("a", (640, 480), matrix, np.zeros(5), False)
+    if estimated:
+        camera = EstimatedCamera.of(camera, focal_sigma=1.0, k1_sigma=0.0)
+    mend = None if corner is None else Cropped("a", 0.0, 0.0, corner * 640)
+    group = SimpleNamespace(rig=SimpleNamespace(cameras=(camera,)))
+    (found,) = _principal_points(group, (Fault("a", "cropped", "it is", mend=mend),), UNCERTAINTY)
+    assert found.error_deg == pytest.approx(np.rad2deg(np.sqrt(2) * share * 640 / 500))
+    assert ("it is" in found.meaning) == (corner is not None)
+
+
+def values(group: GroupResult) -> dict[str, Cause]:
     """Return the checks of a group by name."""
     return {check.name: check for check in check_rig(group, CONFIG)}
 
@@ -137,7 +160,7 @@ def test_faults_and_clocks_that_are_not_corrected_make_a_rig_weak():
     for word, mend, verdict in (
         ("mirrored", None, "weak"),
         ("sides", None, "well determined"),
-        ("cropped", Cropped(name, (0.0, 0.0), 5.0), "usable"),
+        ("cropped", Cropped(name, 0.0, 0.0, 5.0), "usable"),
     ):
         fault = Fault(name, word, "it is wrong", mend=mend)
         (judged,) = judge(result_of(group, faults=(fault,))).groups

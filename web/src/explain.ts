@@ -20,8 +20,7 @@ const TURN = "By how much a camera may be turned from its true rotation, one sta
 const SHIFT = "By how far a camera's centre may be off, one standard deviation, in percent of the "
   + "size of the rig (distance of the cameras from their middle).";
 const INTRINSICS = "The part of the rotation's uncertainty that intrinsics stand for: what the rig "
-  + "changes by when focal lengths are free, beyond chance; what estimated ones and an assumed "
-  + "principal point may be off by.";
+  + "changes by when focal lengths are free, beyond chance; what estimated ones may be off by.";
 const REPROJECTION = "Distance in the image between a detection and the 3D point it belongs to. "
   + "A low error alone proves nothing.";
 const SCORE = "Share of the detections that are explained, times the share of joints in front of "
