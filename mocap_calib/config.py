@@ -508,10 +508,9 @@ class FloorConfig:
         stand (of three who sit the plane is 4 to 6 deg off), and four times that axis. Measured:
         axes 0.9 to 3.9 deg off; 14 deg of people who sit, 3 to 15 deg of animals. No floor has feet
         whose heights spread by more: up to 0.05 on floors; 0.08 and more of simulated rats that
-        rear, 0.13 of a cheetah on a slope.
+        rear, 0.13 of a cheetah on a slope. Nor an up direction that is less sure than twice of it.
     straight: share of its length that a leg which stands has (walkers 0.97, seated people 0.7).
     up_sigma: in radians, of each of two directions, however many feet were seen.
-    most_up_sigma: in radians.
     ankle_height: of ankles over the sole, in lengths of the leg.
     """
 
@@ -519,7 +518,6 @@ class FloorConfig:
     sigma: float = 0.06
     straight: float = 0.93
     up_sigma: float = 0.01
-    most_up_sigma: float = 0.09
     ankle_height: float = 0.12
 
 

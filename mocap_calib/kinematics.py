@@ -24,7 +24,7 @@ from mocap_calib.types import Floats, Ints, Record, Skeleton
 
 _CONFIG = KinematicsConfig()
 BODY = "body"  # whose speed is that of the trunk
-_SIDES = ("left_", "right_")
+SIDES = ("left_", "right_")
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def define(
     names = tuple((aliases or {}).get(name, name) for name in keypoints)
     vocabulary = match_names(names, skeleton)
     known = {skeleton.keypoints[joint]: k for k, joint in enumerate(vocabulary) if joint >= 0}
-    spelt = [side + joint for joint in section.get("trunk", ()) for side in ("", *_SIDES)]
+    spelt = [side + joint for joint in section.get("trunk", ()) for side in ("", *SIDES)]
     return Definitions(
         edges=edges_of_keypoints(skeleton, vocabulary),
         angles=_define_angles(section.get("angles", {}), known),
@@ -81,7 +81,7 @@ def _define_feet(feet: Mapping[str, Any], known: Mapping[str, int]) -> dict[str,
     """Return the feet; of several groups of joints the first of which the recording has any."""
     found = {}
     for name, groups in feet.items():
-        for side in _SIDES:
+        for side in SIDES:
             own = [
                 [known[side + each] for each in group if side + each in known] for group in groups
             ]
@@ -92,7 +92,7 @@ def _define_feet(feet: Mapping[str, Any], known: Mapping[str, int]) -> dict[str,
 
 def _chains(joints: Sequence[Any], known: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
     """Return the keypoints of a chain of joints, by side; "" = a chain in the body's middle."""
-    sided = {side: [_find(joint, side, known) for joint in joints] for side in _SIDES}
+    sided = {side: [_find(joint, side, known) for joint in joints] for side in SIDES}
     middle = [_find(joint, "", known) for joint in joints]
     if joints and -1 not in middle:
         return {"": tuple(middle)}

@@ -13,32 +13,20 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import FloorConfig
-from mocap_calib.geometry.rotation import body_size, mean_of_known
-from mocap_calib.kinematics import leg_lengths
+from mocap_calib.geometry.rotation import body_size, looking_along, mean_of_known
+from mocap_calib.kinematics import SIDES, leg_lengths
 from mocap_calib.lift.lifter import load_vocabulary
-from mocap_calib.recording.joints import choose_skeleton, match_names
+from mocap_calib.recording.joints import choose_skeleton, load_section, match_names
 from mocap_calib.results import POINT_SOURCES, Poses3D
 from mocap_calib.types import Bools, Floats, Ints, Recording, Skeleton
 
 NO_FEET = "no feet are among the keypoints"  # of people, of animals on four legs
 _ROUNDS = 30  # of reweighting
-# joints that touch the floor, and those above them in the middle of the body, by kind of skeleton
+# joints that touch the floor, by kind of skeleton
 FEET = {
     "people": ("left_ankle", "right_ankle"),
     "quadruped": ("left_back_paw", "right_back_paw", "left_front_paw", "right_front_paw"),
     "rodent": ("left_hindpaw", "right_hindpaw", "left_forepaw", "right_forepaw"),
-}
-_SHOULDERS = ("left_shoulder", "right_shoulder")
-TRUNK = {
-    "people": (*_SHOULDERS, "neck"),
-    "quadruped": (
-        *("spine", "croup", "neck_base", "tail_base", "left_hip", "right_hip"),
-        *_SHOULDERS,
-    ),
-    "rodent": (
-        *("spine_front", "spine_middle", "spine_back", "tail_base", "left_hip", "right_hip"),
-        *_SHOULDERS,
-    ),
 }
 _LEG = ("hip", "knee", "ankle")
 
@@ -65,8 +53,9 @@ class Joints:
 
     @property
     def trunk(self) -> list[int]:
-        """Indices of the keypoints of the trunk."""
-        return self.present(TRUNK.get(self.kind, ()))
+        """Indices of the keypoints of the trunk, as its kinematics have it."""
+        joints = load_section(self.kind, "kinematics").get("trunk", ())
+        return self.present([side + joint for joint in joints for side in ("", *SIDES)])
 
     @property
     def have_feet(self) -> bool:
@@ -129,7 +118,7 @@ def distance(positions: Floats, a: int, b: int) -> Floats:
 
 def lengths_of_legs(positions: Floats, joints: Joints) -> Floats:
     """Return the length `[individual]` of people's legs, hip to ankle; NaN = not known."""
-    legs = [joints.present([f"{side}_{joint}" for joint in _LEG]) for side in ("left", "right")]
+    legs = [joints.present([side + joint for joint in _LEG]) for side in SIDES]
     return leg_lengths(positions, [leg for leg in legs if len(leg) == len(_LEG)])
 
 
@@ -140,8 +129,8 @@ def stand_straight(positions: Floats, joints: Joints, least: float) -> Bools:
     """
     length = lengths_of_legs(positions, joints)
     straight = np.zeros(positions.shape[:2], dtype=bool)
-    for side in ("left", "right"):
-        ends = joints.present([f"{side}_hip", f"{side}_ankle"])
+    for side in SIDES:
+        ends = joints.present([f"{side}hip", f"{side}ankle"])
         if len(ends) == 2:
             straight |= distance(positions, *ends) > least * length
     return straight
@@ -161,43 +150,65 @@ class Floor:
     sigma: float
 
 
-@dataclass(frozen=True)
-class _Feet:
-    """The lowest foot of each body in each frame.
-
-    points: `[point, 3]`. individual: `[point]`. size: of the bodies.
-    axis: `[3]` from feet to trunk, and axis_sigma: its standard deviation in radians.
-    height_sigma: standard deviation of the height of feet in one place.
-    """
-
-    points: Floats
-    individual: Ints
-    size: float
-    axis: Floats
-    axis_sigma: float
-    height_sigma: float
-
-
 def find_floor(poses: Poses3D, joints: Joints, config: FloorConfig) -> Floor | str:
     """Return the floor below bodies, or the reason in words why it is not determined."""
-    feet = _lowest_feet(poses.positions, joints, config)
-    if isinstance(feet, str):
-        return feet
-    slope, covariance, middle, residual = _fit_plane(feet, config)
-    spread = 1.4826 * float(np.median(np.abs(residual))) / feet.size
+    positions = poses.positions
+    if not joints.have_feet:
+        return NO_FEET
+    size = body_size(positions)
+    if not np.isfinite(size):
+        return "no bodies were found"
+    feet = positions[:, :, joints.feet]
+    rise = mean_of_known(positions[:, :, joints.trunk], 2) - mean_of_known(feet, 2)
+    seen = np.isfinite(rise[..., 0])
+    if not seen.any():
+        return "no feet were seen"
+    axis, stand = _axis_of_bodies(positions, rise, joints, config)
+    axis_sigma = config.sigma if stand else 4 * config.sigma
+    axes = looking_along(axis, np.eye(3)[np.abs(axis).argmin()])  # rows: two of the floor, then up
+    places = feet[seen] @ axes.T
+    lowest = np.where(np.isfinite(places[..., 2]), places[..., 2], np.inf).argmin(1)
+    places = places[np.arange(len(places)), lowest]
+    middle = np.median(places, axis=0)
+    plane, covariance, residual = _fit_plane(
+        places - middle,
+        np.nonzero(seen)[1],
+        axis_sigma=axis_sigma,
+        height_sigma=size * config.sigma * (1.0 if stand else 2.0),
+        size=size,
+        config=config,
+    )
+    spread = 1.4826 * float(np.median(np.abs(residual))) / size
     if spread > config.sigma:
         return f"the feet are at different heights (by {100 * spread:.0f} % of the body's size)"
-    tension = _tension(slope[:2], covariance[:2, :2], feet.axis_sigma)
+    tension = _tension(plane[:2], covariance[:2, :2], axis_sigma)
     covariance = max(tension, 1.0) * covariance
-    first, second = _plane_axes(feet.axis)
-    up = _unit(feet.axis - slope[0] * first - slope[1] * second)
+    up = np.array([*-plane[:2], 1.0]) @ axes
+    up = up / np.linalg.norm(up)
     sigma = float(np.sqrt(np.trace(covariance[:2, :2]) + 2 * config.up_sigma**2))
-    if sigma > config.most_up_sigma:
+    if sigma > 2 * config.sigma:
         why = "feet and bodies contradict each other" if tension > 1 else "feet are in few places"
         return f"{why} (up is uncertain by {np.degrees(sigma):.0f} deg)"
-    point = middle + (slope[2] - _ankle_height(poses.positions, joints, feet.size, config)) * up
-    sole_sigma = config.sigma * feet.size
+    point = middle @ axes + (plane[2] - _ankle_height(positions, joints, size, config)) * up
+    sole_sigma = config.sigma * size
     return Floor(up, sigma, point, float(np.hypot(np.sqrt(covariance[2, 2]), sole_sigma)))
+
+
+def _axis_of_bodies(
+    positions: Floats, rise: Floats, joints: Joints, config: FloorConfig
+) -> tuple[Floats, bool]:
+    """Return the direction `[3]` from feet to trunk, and whether it is that of people who stand.
+
+    positions: `[frame, individual, keypoint, 3]`. rise: `[frame, individual, 3]`, NaN = not seen.
+    """
+    seen = np.isfinite(rise[..., 0])
+    straight = np.zeros_like(seen)
+    if joints.kind == "people":
+        straight = stand_straight(positions, joints, config.straight) & seen
+    stand = bool(straight.sum() >= seen.sum() / 4)  # else their axis is that of a few frames
+    directions = rise[straight if stand else seen]
+    axis = np.median(directions / np.linalg.norm(directions, axis=-1, keepdims=True), axis=0)
+    return axis / np.linalg.norm(axis), stand
 
 
 def _tension(slope: Floats, covariance: Floats, axis_sigma: float) -> float:
@@ -214,65 +225,37 @@ def _tension(slope: Floats, covariance: Floats, axis_sigma: float) -> float:
     return float(slope @ np.linalg.pinv(gained, rcond=1e-6) @ slope) / 2
 
 
-def _lowest_feet(positions: Floats, joints: Joints, config: FloorConfig) -> _Feet | str:
-    """Return the lowest foot of each body, or the reason why there is none.
-
-    positions: `[frame, individual, keypoint, 3]`.
-    """
-    if not joints.have_feet:
-        return NO_FEET
-    size = body_size(positions)
-    if not np.isfinite(size):
-        return "no bodies were found"
-    feet = positions[:, :, joints.feet]
-    rise = mean_of_known(positions[:, :, joints.trunk], 2) - mean_of_known(feet, 2)
-    seen = np.isfinite(rise[..., 0])
-    if not seen.any():
-        return "no feet were seen"
-    straight, standing = np.zeros_like(seen), False
-    if joints.kind == "people":
-        straight = stand_straight(positions, joints, config.straight) & seen
-        standing = straight.sum() >= seen.sum() / 4  # else their axis is that of a few frames
-    directions = rise[straight if standing else seen]
-    directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-    axis = _unit(np.median(directions, axis=0))
-    each = feet[seen]
-    height = np.where(np.isfinite(each[..., 0]), each @ axis, np.inf)
-    return _Feet(
-        points=each[np.arange(len(each)), height.argmin(-1)],
-        individual=np.nonzero(seen)[1],
-        size=size,
-        axis=axis,
-        axis_sigma=config.sigma if standing else 4 * config.sigma,
-        height_sigma=size * config.sigma * (1.0 if standing else 2.0),
-    )
-
-
-def _fit_plane(feet: _Feet, config: FloorConfig) -> tuple[Floats, Floats, Floats, Floats]:
+def _fit_plane(
+    places: Floats,
+    individual: Ints,
+    *,
+    axis_sigma: float,
+    height_sigma: float,
+    size: float,
+    config: FloorConfig,
+) -> tuple[Floats, Floats, Floats]:
     """Fit the height of the feet over their place.
 
     Returns the slopes in both directions and the height in the middle `[3]`, their covariance
-    `[3, 3]`, the middle of the feet `[3]` without its height, and the residuals `[point]`.
+    `[3, 3]`, and the residuals `[point]`.
+
+    places: `[point, 3]` about their middle, along the plane upright on the axis of the bodies, and
+        along that axis. individual: `[point]`. height_sigma: of feet in one place. size: of bodies.
     """
-    first, second = _plane_axes(feet.axis)
-    scale = feet.height_sigma
-    kink = config.sigma * feet.size / 4  # nearer than this the loss is smooth
-    middle = np.median(feet.points, axis=0)
-    offset = feet.points - middle
-    place = np.stack([offset @ first, offset @ second, np.ones(len(offset))], axis=1)
-    height = offset @ feet.axis
-    prior = np.diag([1 / feet.axis_sigma**2] * 2 + [1e-12 / scale**2])
-    cells = np.floor(place[:, :2] / (config.near * feet.size)).astype(np.int64)
-    places = len(np.unique(np.column_stack([feet.individual, cells]), axis=0))
+    near = config.near * size
+    kink = config.sigma * size / 4  # nearer than this the loss is smooth
+    design, height = np.column_stack([places[:, :2], np.ones(len(places))]), places[:, 2]
+    prior = np.diag([1 / axis_sigma**2] * 2 + [1e-12 / height_sigma**2])
+    cells = np.floor(places[:, :2] / near).astype(np.int64)
+    count = len(np.unique(np.column_stack([individual, cells]), axis=0))
     residual = height - np.median(height)
     for _ in range(_ROUNDS):
-        weight = 1 / np.maximum(np.abs(residual), kink)
-        weight /= 1 + (residual / (config.near * feet.size)) ** 2
-        information = places / weight.sum() / scale**2
-        normal = information * (place * weight[:, None]).T @ place + prior
-        solution = np.linalg.solve(normal, information * (place * weight[:, None]).T @ height)
-        residual = height - place @ solution
-    return solution, np.linalg.inv(normal), middle, residual
+        weight = 1 / np.maximum(np.abs(residual), kink) / (1 + (residual / near) ** 2)
+        known = (count / weight.sum() / height_sigma**2 * weight)[:, None] * design
+        normal = known.T @ design + prior
+        solution = np.linalg.solve(normal, known.T @ height)
+        residual = height - design @ solution
+    return solution, np.linalg.inv(normal), residual
 
 
 def _ankle_height(positions: Floats, joints: Joints, size: float, config: FloorConfig) -> float:
@@ -282,13 +265,3 @@ def _ankle_height(positions: Floats, joints: Joints, size: float, config: FloorC
     legs = lengths_of_legs(positions, joints)
     legs = legs[np.isfinite(legs)]
     return config.ankle_height * (float(np.median(legs)) if len(legs) else 2 * size)
-
-
-def _plane_axes(up: Floats) -> tuple[Floats, Floats]:
-    """Return two unit vectors `[3]` that span the plane on which a direction is upright."""
-    first = _unit(np.cross(up, np.eye(3)[np.abs(up).argmin()]))
-    return first, np.cross(up, first)
-
-
-def _unit(vector: Floats) -> Floats:
-    return vector / np.linalg.norm(vector)

@@ -80,10 +80,10 @@ def test_one_foot_in_one_place_leaves_the_axis_of_the_body_to_say_what_is_up():
 
 
 def test_who_stands_higher_than_others_makes_up_uncertain_then_unknown():
-    """Two who stand still, 4 m apart, one on a stage; measured 3.6 and 4.8 deg for 0 and 0.3 m."""
+    """Two who stand still, 4 m apart, one on a stage; measured 3.6 and 5.3 deg for 0 and 0.3 m."""
     made = scene(people=2)
     floors = []
-    for stage in (0.0, 0.3, 0.4):
+    for stage in (0.0, 0.3, 0.5):
         still = np.repeat(made.poses[:1], 60, axis=0)
         still -= still.mean((0, 2), keepdims=True) * [1, 1, 0]
         still[:, 1] += np.array([4.0, 0.0, stage])
