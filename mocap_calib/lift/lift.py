@@ -32,6 +32,7 @@ from mocap_calib.types import Bools, Floats, Floats32, Ints, Keypoints2D, Progre
 
 # detections at a time, and those of a view that determine which way is down in its images
 _BLOCK = 128
+_PARTS = 5  # of a sample: most directions have lost after three
 # The directions in a view's image that may be down: as the camera says, or turned by quarters.
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
@@ -107,19 +108,31 @@ def _lift_views(rays: Floats, view: Ints, lifter: Lifter, progress: Progress) ->
     bodies = _lift_blocks(rays, np.tile(_DOWN[0], (len(rays), 1)), lifter, progress)
     views = np.unique(view)
     samples = [evenly_spaced(np.flatnonzero(view == each), _BLOCK) for each in views]
-    tried = map_in_threads(
-        lambda each: np.median(_lift_rays(rays[each[0]], each[1], lifter).spread),
-        product(samples, _DOWN[1:]),
+    upright = [float(np.median(bodies.spread[sample])) for sample in samples]
+    others = map_in_threads(
+        lambda each: _doubt(rays[each[0][0]], each[1], least=each[0][1], lifter=lifter),
+        product(zip(samples, upright, strict=True), _DOWN[1:]),
     )
-    doubt = np.empty((len(views), len(_DOWN)))
-    doubt[:, 0] = [np.median(bodies.spread[sample]) for sample in samples]
-    doubt[:, 1:] = np.reshape(list(tried), doubt[:, 1:].shape)
+    doubt = np.column_stack([upright, np.reshape(list(others), (len(views), len(_DOWN) - 1))])
     best = doubt.argmin(1)[np.searchsorted(views, view)]
     turned = best > 0  # of few recordings
     again = _lift_blocks(rays[turned], _DOWN[best[turned]], lifter, progress)
     for values, found in zip(bodies, again, strict=True):
         values[turned] = found
     return bodies
+
+
+def _doubt(rays: Floats, down: Floats, *, least: float, lifter: Lifter) -> float:
+    """Return the median standard deviation of rays `[B, J, 3]` under a direction of down.
+
+    Infinite as soon as more than half of the joints have `least` or more.
+    """
+    spread = np.zeros(rays.shape[:2])
+    for part in np.array_split(np.arange(len(rays)), _PARTS):
+        spread[part] = _lift_rays(rays[part], down, lifter).spread
+        if 2 * np.count_nonzero(spread >= least) > spread.size:
+            return np.inf
+    return float(np.median(spread))
 
 
 def _lift_blocks(rays: Floats, down: Floats, lifter: Lifter, progress: Progress) -> _Bodies:
