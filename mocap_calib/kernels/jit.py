@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
@@ -63,9 +62,18 @@ def inlined(function: Function) -> Function:
     return found
 
 
+def copied(function: Function) -> Function:
+    """Let kernels call a function, each place a copy of it; for inmost loops with few places."""
+    found: Function = register_jitable(no_cfunc_wrapper=True, forceinline=True)(function)
+    return found
+
+
 def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     """Return arrays in C order that can be written; those that are so already as they are."""
-    return tuple(np.require(array, requirements=("C", "W")) for array in arrays)
+    return tuple(
+        array if array.flags.c_contiguous and array.flags.writeable else array.copy()
+        for array in arrays
+    )
 
 
 def compile_ahead() -> list[str]:

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from mocap_calib.kernels.jit import inlined, kernel
+from mocap_calib.kernels.jit import copied, inlined, kernel
 from mocap_calib.types import Bools, Floats
 
 LANES = 64  # points side by side: loops of a fixed length over arrays in the cache are vectorised
@@ -76,7 +76,7 @@ def _fisheye(lens: Floats, x: Number, y: Number) -> _Six[Number]:
     )
 
 
-@inlined
+@copied
 def distort(lens: Floats, x: Number, y: Number) -> _Six[Number]:
     """Return where a lens puts a point of the plane z = 1, and its derivatives.
 

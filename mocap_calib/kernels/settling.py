@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.kernels.jit import inlined, kernel
+from mocap_calib.kernels.jit import copied, inlined, kernel
 from mocap_calib.kernels.lens import distort
 from mocap_calib.types import Floats
 
@@ -29,7 +29,7 @@ def _look(
 _Seen = tuple[float, float, bool, float, float, float, float, float, float]
 
 
-@inlined
+@copied
 def _residual(
     lens: Floats, saw: Floats, v: int, least: float, x: float, y: float, z: float
 ) -> _Seen:
@@ -69,7 +69,7 @@ def _to_world(turn: Floats, v: int, x: float, y: float, z: float) -> tuple[float
     )
 
 
-@inlined
+@copied
 def _pull(given: Any, saw: Floats, weight: Floats, point: Floats, into: Any) -> None:
     """Set what moves a point: squared residuals and robust weights `[view]`, B'B and B'r.
 
