@@ -231,7 +231,8 @@ class IntrinsicsConfig:
         that are free must be away from the one that cameras of equal image size share: each has its
         own then. Measured: 0.7 to 1.3 where they are equal, 2.0 where clocks and keypoints are poor
         besides; 3.3 to 20 where they differ by 8 to 20 %. And by which k1 of a camera must be away
-        from what was given, to be changed.
+        from what was given, to be changed, and a given focal length, to be wrong: its own, or the
+        mean of all where they are alike. Sound cameras of twenty recordings: up to 2.3.
     overconfidence: by how much the variance is larger than that of independent errors, until it
         has been measured. Real recordings have 2 to 100.
     """
@@ -334,9 +335,6 @@ class UncertaintyConfig:
     # best quarter. Measured: 1 to 2.6 where the cameras agree, 3.8 between telescopes, 5 to 18
     # where one is out of step. No error counts for more in the misfit of a rig.
     outlier_factor: float = 4.0
-    # A given focal length is wrong that would change by so many standard deviations if it were
-    # free: its own, or the mean of all where they are alike.
-    focal_significance: float = 4.0
     # Errors beyond sigma, which the cameras of real rigs share: up to 3.5 % of shelf.
     focal_systematic: float = 0.02
     tied_misfit: float = 1.001  # ratio of misfits that differ by where an adjustment ended alone
@@ -586,7 +584,6 @@ class CueConfig:
     height_sigma: relative, of a stature, however many frames there are, and half of that of a
         length between joints: detectors place joints beside those of anatomy (bones of people -16
         to +12 %, statures -3 to +3 %).
-    most_residual: in standard deviations, above which cues contradict each other.
     statures: of people in metres, least and most.
     """
 
@@ -599,7 +596,6 @@ class CueConfig:
         ("nose", 0.930),
     )
     height_sigma: float = 0.03
-    most_residual: float = 3.0
     statures: tuple[float, float] = (0.3, 3.0)
 
 
@@ -616,10 +612,10 @@ class WorldConfig:
     stated_sigma: of places of landmarks and cameras, as a share of their RMS distance from their
         middle: 2 cm in a room of 4 m; and of the axes of cameras, in radians. landmark_pixels: of a
         landmark in an image.
-    most_misfit: in standard deviations, of these and of the rig, above which a world is refused:
-        references of rigs that are usable have 0.03 to 1.4, landmarks measured to 1 % up to 1.5,
-        a landmark of five that is wrong by it 7 to 30, exchanged axes and made-up cameras 10 to
-        170.
+    most_misfit: in standard deviations, above which known lengths contradict each other; and of
+        these errors and of the rig, above which a world is refused: references of rigs that are
+        usable have 0.03 to 1.4, landmarks measured to 1 % up to 1.5, a landmark of five that is
+        wrong by it 7 to 30, exchanged axes and made-up cameras 10 to 170.
     """
 
     axes: str = "auto"
@@ -632,7 +628,7 @@ class WorldConfig:
     measure: CueConfig = CueConfig()
     stated_sigma: float = 0.01
     landmark_pixels: float = 2.0
-    most_misfit: float = 5.0
+    most_misfit: float = 3.0
 
     @property
     def stated_unit(self) -> str:

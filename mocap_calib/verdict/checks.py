@@ -24,7 +24,6 @@ from mocap_calib.types import CameraRig, Floats, Ints, Recording
 # of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras
 # with estimated intrinsics are off by 2 to 5 deg in five of eight recordings, by 21 to 40 in three
 OPEN_DEG = 5.0
-_STRETCH_KEYPOINTS = 30  # of a camera, that a stretch of time has at least
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def over_time(look: Look) -> Floats:
     stretches = np.array_split(look.gap, look.config.uncertainty.time_blocks, axis=2)
     counts = np.stack([np.isfinite(part[:, 0]).sum((1, 2, 3)) for part in stretches])
     # a stretch in which a camera matches little does not show where it is
-    enough = counts >= np.maximum(_STRETCH_KEYPOINTS, np.median(counts, axis=0) / 2)
+    enough = counts >= np.maximum(1, np.median(counts, axis=0) / 2)
     sides = np.array([[_medians(part[:, axis]) for axis in range(2)] for part in stretches])
     shift = np.where(enough, np.linalg.norm(sides, axis=1), np.nan)  # [stretch, view]
     some = enough.any(0)

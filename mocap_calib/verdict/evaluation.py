@@ -58,17 +58,6 @@ class Evaluation(Record):
     centre_error: Floats
     unit: str
 
-    def __repr__(self) -> str:
-        rotation, translation = (
-            f"{np.median(degrees):.2f} / {degrees.max():.2f}"
-            for degrees in np.degrees([self.rotation_error, self.translation_error])
-        )
-        missing = f", missing: {', '.join(self.missing)}" if self.missing else ""
-        return (
-            f"Evaluation({len(self.pairs)} pairs, median / max: rotation {rotation} deg, "
-            f"translation {translation} deg{missing})"
-        )
-
 
 def evaluate(rig: CameraRig, reference: CameraRig) -> Evaluation:
     """Compare all pairs of the reference's cameras, and the cameras after an alignment.

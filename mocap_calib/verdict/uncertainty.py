@@ -23,14 +23,14 @@ from mocap_calib.adjust.refine import (
     measure_fit,
 )
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import DECISIVE_NATS, Config, IntrinsicsConfig, UncertaintyConfig
+from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import rig_change, rig_size
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import Matches, RigCovariance, Uncertainty
 from mocap_calib.rig import labelled_frames
-from mocap_calib.types import POSE, Bools, Camera, CameraRig, EstimatedCamera, Floats, Sample
+from mocap_calib.types import POSE, Bools, CameraRig, EstimatedCamera, Floats, Sample
 
 
 @single_threaded_libraries()
@@ -59,7 +59,7 @@ def assess_uncertainty(
         weak_perspective=find_weak_perspective(fit),
         focal_change=change,
         focal_sigma=sigma,
-        wrong_focal=find_wrong_focal(rig.cameras, change, sigma, config.uncertainty) & tells,
+        wrong_focal=find_wrong_focal(change, sigma, config) & tells,
     )
 
 
@@ -141,47 +141,20 @@ def _change_with_focal(
 # --- which focal lengths that were given are wrong
 
 
-def find_wrong_focal(
-    cameras: tuple[Camera, ...], change: Floats, sigma: Floats, config: UncertaintyConfig
-) -> Bools:
+def find_wrong_focal(change: Floats, sigma: Floats, config: Config) -> Bools:
     """Return the cameras `[view]` whose focal lengths are certainly other than was given.
 
-    By what they would change to if they were free. Three signs: a change that is certain by itself;
-    one that is likely and would give a camera the focal length of its equals; and changes of all
-    cameras alike, which are less uncertain together.
+    By what they would change to if they were free: by a change that is certain by itself, and by
+    changes of all cameras alike, which are less uncertain together.
 
     change, sigma: `[view]` of their logarithms, as of `FreeFocal`; NaN = not known.
     """
-    uncertain = np.hypot(sigma, config.focal_systematic / 2)
-    certain = np.abs(change) > config.focal_significance * uncertain
-    unlike = _favours_equals(cameras, change, sigma, config)
-    return np.asarray(certain | unlike | _all_change_alike(change, sigma, config))
+    uncertain = np.hypot(sigma, config.uncertainty.focal_systematic / 2)
+    certain = np.abs(change) > config.intrinsics.significance * uncertain
+    return np.asarray(certain | _all_change_alike(change, sigma, config))
 
 
-def _favours_equals(
-    cameras: tuple[Camera, ...], change: Floats, sigma: Floats, config: UncertaintyConfig
-) -> Bools:
-    """Return where a camera `[view]` has rather the focal length of the others than its own.
-
-    The others: at least two of the same image size, whose focal lengths are alike. The evidence for
-    their focal length must be decisive. Measured where sigma is 5 %: 1.2, 4.9 and 9.6 nats where
-    one is wrong by 10, 20 and 30 %.
-    """
-    focal, alike = np.log([camera.focal for camera in cameras]), 2 * config.focal_systematic
-    kind = shared_intrinsics(cameras, IntrinsicsConfig())
-    found = np.zeros(len(cameras), dtype=bool)
-    for view in range(len(cameras)):
-        others = np.flatnonzero((kind == kind[view]) & (np.arange(len(cameras)) != view))
-        if len(others) < 2 or np.ptp(focal[others]) > alike:
-            continue
-        to_others = float(np.median(focal[others])) - focal[view]
-        variance = sigma[view] ** 2 + config.focal_systematic**2
-        nats = (change[view] ** 2 - (change[view] - to_others) ** 2) / (2 * variance)
-        found[view] = abs(to_others) > alike and nats > DECISIVE_NATS
-    return found
-
-
-def _all_change_alike(change: Floats, sigma: Floats, config: UncertaintyConfig) -> Bools:
+def _all_change_alike(change: Floats, sigma: Floats, config: Config) -> Bools:
     """Return where a camera `[view]` has a wrong focal length as all others have, or none.
 
     The mean of the changes weighed by their certainty is that of one focal length that the cameras
@@ -190,10 +163,10 @@ def _all_change_alike(change: Floats, sigma: Floats, config: UncertaintyConfig) 
     none = np.zeros(len(change), dtype=bool)
     if len(change) < 3 or not np.isfinite(change).all():
         return none
-    weight = 1 / sigma**2
+    weight, systematic = 1 / sigma**2, config.uncertainty.focal_systematic
     mean = float((change * weight).sum() / weight.sum())
-    uncertain = float(np.hypot(np.sqrt(1 / weight.sum()), config.focal_systematic / 2))
-    apart = np.abs(change - mean) > 2 * np.hypot(sigma, config.focal_systematic)
-    if apart.any() or abs(mean) < config.focal_significance * uncertain:
+    uncertain = float(np.hypot(np.sqrt(1 / weight.sum()), systematic / 2))
+    apart = np.abs(change - mean) > 2 * np.hypot(sigma, systematic)
+    if apart.any() or abs(mean) < config.intrinsics.significance * uncertain:
         return none
     return np.asarray(np.sign(mean) * change > sigma)

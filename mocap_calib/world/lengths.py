@@ -106,7 +106,7 @@ def find_scale(cues: Sequence[ScaleCue], on: Measurable, config: WorldConfig) ->
         MeasuredCue(describe_cue(cue), cue.metres, float(factor * length), float(own), float(off))
         for cue, length, own, off in zip(cues, lengths, sigma, residual, strict=True)
     )
-    most = config.measure.most_residual
+    most = config.most_misfit
     if (np.abs(residual) > most).any():
 
         def agree(some: Bools) -> bool:

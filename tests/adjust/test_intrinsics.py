@@ -212,7 +212,7 @@ def test_a_wrong_focal_length_is_found_and_right_ones_are_not_accused():
         start = replace(scene(**changes).rig, cameras=cameras)
         rig = adjust(seen, start, truth(**changes), config)
         free = free_focal_lengths(seen, rig, truth(**changes), config)
-        found = find_wrong_focal(cameras, free.change, free.sigma, config.uncertainty)
+        found = find_wrong_focal(free.change, free.sigma, config)
         assert np.flatnonzero(found).tolist() == expected
         turns.append(
             np.linalg.norm(given_focal_change(rig, free, config.uncertainty)[:, :3], axis=1)
