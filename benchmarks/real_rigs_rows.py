@@ -19,7 +19,7 @@ from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording.views import assume_cameras
+from mocap_calib.recording.names import assume_cameras
 from mocap_calib.results import GroupResult
 from mocap_calib.types import Camera, Recording
 from mocap_calib.verdict.evaluation import evaluate

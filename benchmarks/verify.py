@@ -25,8 +25,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import matrix_from_vector, rig_size
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import choose_model
-from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.recording.synchronise import hide_blind_spots
+from mocap_calib.recording.sampling import choose_sample_frames, hide_blind_spots, take_sample
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import CameraRig, Sample, silent
 from mocap_calib.verdict.verify import verify_rig

@@ -682,7 +682,7 @@ class FilterConfig:
 LARGEST_SHARE = 1.5
 LEAST_SHARE = -0.25
 
-# When two files have the same detections (recording/views.py). In the shared recordings no
+# When two files have the same detections (recording/synchronise.py). In the shared recordings no
 # detection of one camera was within a pixel of another camera's in all its keypoints.
 COPY_TOLERANCE = 2e-5  # of coordinates, as a share of the largest: files keep three decimals
 COPY_FEW = 20  # distinct detections, and others of one mean that one is compared with

@@ -78,7 +78,7 @@ def from_arrays(
     Raises ValueError for arrays of other shapes, for frames that do not ascend and for names that
     occur twice, and MismatchError as `from_keypoints` does.
     """
-    from mocap_calib.recording.views import split_by_view
+    from mocap_calib.recording.synchronise import split_by_view
 
     known = intrinsics_of(cameras)
     check_names("keypoints", keypoints)

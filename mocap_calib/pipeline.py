@@ -16,7 +16,12 @@ import numpy as np
 
 from mocap_calib.adjust.intrinsics import estimate_cameras
 from mocap_calib.adjust.refine import adjust_from_best_start
-from mocap_calib.clocks.estimate import calibrate_on_clocks, estimate_clocks
+from mocap_calib.clocks.estimate import (
+    calibrate_on_clocks,
+    clocks_of_rates,
+    estimate_clocks,
+    retime,
+)
 from mocap_calib.clocks.subframe import synchronise_detections
 from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
@@ -28,10 +33,8 @@ from mocap_calib.lift.lift import RememberedLift, lift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.pairs.solve import PairSolver
 from mocap_calib.poses.stage import smooth_group
-from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.recording.timeline import clocks_of_rates, retime
-from mocap_calib.recording.views import choose_refinement
+from mocap_calib.recording.names import choose_refinement
+from mocap_calib.recording.sampling import choose_sample_frames, hide_blind_spots, take_sample
 from mocap_calib.results import CalibrationResult, Clocks, GroupResult, Matches, UnusedPair
 from mocap_calib.rig.associate import associate, label_all_frames
 from mocap_calib.rig.averaging import average, camera_groups

@@ -11,6 +11,7 @@ from typing import cast
 import click
 import numpy as np
 
+from mocap_calib.clocks.estimate import clocks_from, retime
 from mocap_calib.config import (
     ASSUMED_REFINEMENT,
     Config,
@@ -35,7 +36,6 @@ from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
 from mocap_calib.job.steps import CalibrationRequest
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.recording.timeline import clocks_from, retime
 from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.types import CameraRig, Ints, Recording, Sample
 from mocap_calib_cli.describe import describe_recording

@@ -8,9 +8,8 @@ A camera stays as it is unless the evidence for another clock is decisive.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -34,62 +33,32 @@ from mocap_calib.clocks.maps import (
     find_timing,
     weigh,
 )
-from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import DECISIVE_NATS, Config, SyncConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import mean_of_known
-from mocap_calib.lift.lift import lift
-from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
+from mocap_calib.recording.corrections import find_view
 from mocap_calib.recording.sampling import choose_stretches, take_sample, usual_step
-from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
-from mocap_calib.results import CalibrationResult, Clocks, GroupResult, LiftedPoses
-from mocap_calib.rig.view_graph import calibrate_view_graph
-from mocap_calib.training import on_device
+from mocap_calib.results import (
+    NO_FRAME,
+    CalibrationResult,
+    Clocks,
+    FaultWord,
+    GroupResult,
+    LiftedPoses,
+)
 from mocap_calib.types import (
     CameraClock,
     Floats,
     Ints,
-    Progress,
     Recording,
     Sample,
-    silent,
 )
 
 T = TypeVar("T")  # what is observed of a recording
 Calibrate = Callable[[Recording, T | None], tuple[T, CalibrationResult]]
 _ROUNDS = 4  # of calibrating again on refined clocks
 _REACH = 15  # frames: offsets that are compared by a rig, early and late
-
-
-def compare_clocks(
-    recording: Recording,
-    model: str | Path | Lifter = AUTO,
-    config: Config = Config(),
-    *,
-    seed: int = 0,
-    device: str = "cpu",
-    progress: Progress | None = None,
-) -> Clocks:
-    """Return how the clocks of the cameras differ, by lifted bodies; nothing is changed.
-
-    The arguments are those of `calibrate`. Raises FormatError where there is no such model, and
-    MismatchError where there is no such device.
-    """
-    recording, lifter = choose_model(recording, model)
-    said = clocks_of_rates(recording, dict(config.sync.rates))
-    recording, progress = retime(recording, said), progress or silent
-    stretches = choose_stretches(recording, config.sync)
-    sample = take_sample(recording, stretches[stretches >= 0])
-    with single_threaded_libraries():
-        try:
-            lifted = lift(sample, on_device(lifter, device), progress=progress)
-        except MismatchError:  # the model knows too few of the joints
-            return Clocks.of_one(recording).after(said)
-        rng = np.random.default_rng(seed)
-        pairs = calibrate_view_graph(sample, lifted, config, rng=rng, progress=progress)
-        rotations = {(pair.a, pair.b): pair.rotation for pair in pairs}
-        found = find_clocks(recording, lifted, stretches, rotations, config.sync, seed=seed)
-    return Clocks.of_one(recording, found).after(said)
 
 
 def estimate_clocks(
@@ -308,3 +277,116 @@ def combine_clocks(first: CameraClock, second: CameraClock) -> CameraClock:
     if changed.kind == "clock" and changed.offset == 0:
         return CameraClock(first.camera, "in step", evidence=second.evidence)
     return changed
+
+
+# Recordings on the clocks of their cameras
+
+
+def retime(recording: Recording, clocks: Clocks) -> Recording:
+    """Return the recording with the detections of each camera at the frames that it saw them.
+
+    A recording that is in step is returned as it is.
+    """
+    if not clocks.changed:
+        return recording
+    return recording.show(clocks.source, clocks.frames)
+
+
+def clocks_from(recording: Recording, clocks: Iterable[CameraClock]) -> Clocks:
+    """Return which frames cameras show, given how the clocks of some of them differ.
+
+    The common clock has the frames in which two cameras show something. Cameras without a clock in
+    `clocks` are on it.
+    """
+    given = {clock.camera: clock for clock in clocks}
+    cameras = tuple(given.get(name, CameraClock(name, "in step")) for name in recording.names)
+    if not any(camera.differs for camera in cameras):
+        return Clocks.of_one(recording, cameras)
+    frames = _common_frames(recording.frames, cameras)
+    source = np.stack([_source_of(camera, frames, recording.frames) for camera in cameras])
+    shown = (source >= 0).sum(0) >= 2
+    return Clocks(
+        frames=frames[shown],
+        given=recording.frames,
+        source=source[:, shown],
+        cameras=cameras,
+    )
+
+
+def own_frames(camera: CameraClock, frames: Ints) -> Ints:
+    """Return the numbers `[frame]` that a camera gave to frames `[frame]` of the common clock.
+
+    `NO_FRAME` where it has none: of several frames of the common clock, the nearest shows one of a
+    slower camera.
+    """
+    table = np.array(camera.table or ((0, camera.offset),), dtype=np.int64)
+    row = np.searchsorted(table[:, 0], frames, side="right") - 1
+    offset = table[np.maximum(row, 0), 1]
+    counted = frames - table[0, 0]  # a rate is counted from the first frame of the table
+    scaled = np.round(counted * camera.rate).astype(np.int64)
+    nearest = np.round(scaled / camera.rate).astype(np.int64) == counted
+    return np.where(nearest | (camera.rate >= 1.0), table[0, 0] + scaled + offset, NO_FRAME)
+
+
+def clocks_of_rates(recording: Recording, rates: Mapping[str, float]) -> Clocks:
+    """Return the clocks of cameras that have other frame rates, as somebody said.
+
+    rates: name of a camera -> its frames for one of the common clock. All begin together, at the
+        first frame of the recording.
+
+    Raises MismatchError where the recording does not have the camera.
+    """
+    for name in rates:
+        find_view(recording, name)
+    table = ((int(recording.frames[0]), 0),)
+    return clocks_from(
+        recording,
+        [CameraClock(name, "rate", rate=rate, table=table) for name, rate in rates.items()],
+    )
+
+
+def _common_frames(frames: Ints, cameras: tuple[CameraClock, ...]) -> Ints:
+    """Return the frame numbers from the first to the last that any camera may show."""
+    offsets = [offset for camera in cameras for _, offset in camera.table] or [0]
+    offsets += [camera.offset for camera in cameras]
+    step = usual_step(frames)
+    before = -(-max(*offsets, 0) // step)
+    after = -(min(*offsets, 0) // step)
+    early = frames[0] - step * np.arange(before, 0, -1)
+    late = frames[-1] + step * np.arange(1, after + 1)
+    return np.concatenate([early, frames, late])
+
+
+def _source_of(camera: CameraClock, frames: Ints, given: Ints) -> Ints:
+    """Return the indices `[frame]` into the frames that were given, -1 = the camera has none."""
+    own = own_frames(camera, frames)
+    # no frame is shown twice: where some were lost, the camera shows nothing for as long
+    latest = np.maximum.accumulate(own)
+    repeated = np.append(False, own[1:] <= latest[:-1])
+    place = np.minimum(np.searchsorted(given, own), len(given) - 1)
+    return np.where((given[place] == own) & ~repeated, place, -1)
+
+
+@dataclass(frozen=True)
+class Retimed:
+    """The clock of a camera differs from that of the others."""
+
+    clock: CameraClock
+
+    @property
+    def camera(self) -> str:
+        """Name of the camera."""
+        return self.clock.camera
+
+    @property
+    def word(self) -> FaultWord:
+        """The fault that it mends."""
+        return cast(FaultWord, self.clock.kind)
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with the camera on the clock of the others.
+
+        Raises MismatchError where the recording does not have it.
+        """
+        find_view(recording, self.camera)
+        return retime(recording, clocks_from(recording, [self.clock]))

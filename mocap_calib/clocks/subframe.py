@@ -23,8 +23,7 @@ from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.mapped import frame_slices
-from mocap_calib.recording.sampling import evenly_spaced, take_sample, usual_step
-from mocap_calib.recording.synchronise import hide_blind_spots
+from mocap_calib.recording.sampling import evenly_spaced, hide_blind_spots, take_sample, usual_step
 from mocap_calib.results import Adjusted, Matches, Poses3D, TimeOffsets
 from mocap_calib.rig import Tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, cast
 
+from mocap_calib.clocks.estimate import Retimed
 from mocap_calib.recording.corrections import (
     Cropped,
     Exchanged,
@@ -13,7 +14,6 @@ from mocap_calib.recording.corrections import (
     Rotated,
     Sides,
 )
-from mocap_calib.recording.timeline import Retimed
 from mocap_calib.results import CalibrationResult, Clocks, Fault, FaultWord, Mend
 from mocap_calib.types import CameraClock
 from mocap_calib.wording import count

@@ -31,7 +31,7 @@ class ReportSource(Record):
     """What a report is made of.
 
     title: what it is of. run: what run.json holds of the group of cameras.
-    rig: a camera that was moved is two views of it (`recording.timeline`).
+    rig: a camera that was moved is two views of it (`recording.corrections`).
     covariance: `[view, 3, 3]` of the centres, in the unit squared, NaN = not known.
     directed: whether that has directions; else it only says how far.
     edges: pairs of keypoints (indices) that the skeleton joins. fps: NaN = not known.

@@ -17,15 +17,18 @@ from mocap_calib.recording.names import (
     keypoint_meanings,
     unshared_keypoints,
 )
-from mocap_calib.recording.sampling import choose_sample_frames
-from mocap_calib.recording.synchronise import (
+from mocap_calib.recording.sampling import (
     check_joints,
     check_shared_keypoints,
+    choose_sample_frames,
+)
+from mocap_calib.recording.synchronise import (
+    find_copies,
+    find_repeated,
     join_views,
     largest_confidence,
     recording_of_views,
 )
-from mocap_calib.recording.views import find_copies, find_repeated
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 from mocap_calib.wording import count
 

@@ -16,9 +16,14 @@ from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.corrections import apply_mends
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
-from mocap_calib.recording.names import unshared_keypoints, views_named, views_with_detections
+from mocap_calib.recording.names import (
+    ASSUMED_NOTE,
+    assume_cameras,
+    unshared_keypoints,
+    views_named,
+    views_with_detections,
+)
 from mocap_calib.recording.synchronise import JoinedViews, join_views, recording_of_views
-from mocap_calib.recording.views import ASSUMED_NOTE, assume_cameras
 from mocap_calib.results import Clocks, Mend
 from mocap_calib.types import Camera, Keypoints2D, Recording, Skeleton
 

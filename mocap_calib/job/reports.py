@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.clocks.estimate import clocks_from, retime
 from mocap_calib.config import EPOCH_MARK
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import rig_size
@@ -23,8 +24,14 @@ from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.job.load import KeypointSource, load_recording
 from mocap_calib.job.results import name_results
-from mocap_calib.recording.corrections import Mirrored, Moved, Sides, apply_mends
-from mocap_calib.recording.timeline import clocks_from, own_names, retime, views_by_camera
+from mocap_calib.recording.corrections import (
+    Mirrored,
+    Moved,
+    Sides,
+    apply_mends,
+    own_names,
+    views_by_camera,
+)
 from mocap_calib.report import SCHEMA
 from mocap_calib.results import Matches, Mend
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording

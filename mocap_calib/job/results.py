@@ -28,8 +28,7 @@ from mocap_calib.io.results.group import (
 )
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.lift.lifter import load_vocabulary
-from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.recording.timeline import (
+from mocap_calib.recording.corrections import (
     Epoch,
     epoch_folder,
     list_epochs,
@@ -37,6 +36,7 @@ from mocap_calib.recording.timeline import (
     recording_of_epoch,
     rig_of_epoch,
 )
+from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report, verdict_of_cameras
 from mocap_calib.results import CalibrationResult, GroupResult, ObservedPoints
 from mocap_calib.rig.triangulate import observe_points

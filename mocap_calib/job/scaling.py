@@ -27,7 +27,7 @@ from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
 from mocap_calib.io.world_fields import world_fields
-from mocap_calib.recording.timeline import own_name
+from mocap_calib.recording.corrections import own_name
 from mocap_calib.results import RigCovariance
 from mocap_calib.types import ARBITRARY, CameraRig, World
 from mocap_calib.wording import count

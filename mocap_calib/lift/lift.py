@@ -24,9 +24,8 @@ from mocap_calib.config import (
 from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.lift.lifter import Lifter
-from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.recording.synchronise import check_joints
-from mocap_calib.recording.views import split_by_view
+from mocap_calib.recording.sampling import check_joints, evenly_spaced
+from mocap_calib.recording.synchronise import split_by_view
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import Bools, Floats, Floats32, Ints, Keypoints2D, Progress, Sample, Skeleton
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.clocks.estimate import own_frames
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import read_rig
@@ -18,7 +19,6 @@ from mocap_calib.io.results.matches_csv import parse_matches
 from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.io.results.stored import provenance_of_cameras
 from mocap_calib.recording.sampling import usual_step
-from mocap_calib.recording.timeline import own_frames
 from mocap_calib.report import SCHEMA
 from mocap_calib.results import NO_FRAME
 from mocap_calib.types import CameraClock, CameraRig, Floats, Ints, Keypoints2D

@@ -1,4 +1,7 @@
-"""Match keypoint files to cameras, and the keypoint names of the files to each other."""
+"""Match keypoint files to cameras, assume cameras for them, and match keypoint names.
+
+Keypoints of different files are matched to each other by what their names mean.
+"""
 
 import re
 import unicodedata
@@ -9,10 +12,18 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import LARGEST_SHARE, TYPICAL_PERCENTILE
+from mocap_calib.config import (
+    ASSUMED_REFINEMENT,
+    DEFAULT_FOCAL,
+    LARGEST_SHARE,
+    REFINEMENTS,
+    TYPICAL_PERCENTILE,
+    IntrinsicsConfig,
+    Refinement,
+)
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.joints import match_names, normalise_name
-from mocap_calib.types import Camera, Keypoints2D, Skeleton
+from mocap_calib.types import AssumedCamera, Camera, Keypoints2D, Skeleton
 from mocap_calib.wording import count
 
 _UNKNOWN_SIZE = (0, 0)
@@ -271,3 +282,64 @@ def _view_meanings(
         joints[joint] if joint >= 0 else normalise_name(name)
         for name, joint in zip(renamed, match_names(renamed, skeleton), strict=True)
     ]
+
+
+# --- cameras of which no intrinsics are given
+
+ASSUMED_NOTE = (
+    "no intrinsics were given: focal lengths and lenses are estimated together with the rig"
+)
+
+
+def assume_cameras(views: Sequence[Keypoints2D]) -> tuple[AssumedCamera, ...]:
+    """Return a camera for each view, with a typical focal length.
+
+    Its principal point is the middle of the image, and it has no distortion.
+
+    Raises MismatchError where the size of the images is not known.
+    """
+    return tuple(_assume_camera(view) for view in views)
+
+
+def choose_refinement(
+    cameras: Sequence[Camera], config: IntrinsicsConfig, refine: Refinement | None
+) -> IntrinsicsConfig:
+    """Return the configuration for the estimation of the intrinsics of these cameras.
+
+    refine: None: as in `config`, or focal lengths and lenses where no intrinsics were given.
+
+    Raises MismatchError for an unknown choice, and for one that is impossible for these cameras.
+    """
+    assumed = any(isinstance(camera, AssumedCamera) for camera in cameras)
+    chosen = refine or config.refine
+    if refine is None and chosen == "none" and assumed:
+        chosen = ASSUMED_REFINEMENT
+    if chosen not in REFINEMENTS:
+        known = ", ".join(REFINEMENTS)
+        raise MismatchError(f"refine: expected one of {known}, found {chosen!r}; choose one")
+    if chosen == "none" and assumed:
+        raise MismatchError(
+            "refine: expected focal or focal+k1, as nothing is known of the intrinsics, "
+            "found none; give the intrinsics, or leave it out"
+        )
+    return replace(config, refine=chosen)
+
+
+def _assume_camera(view: Keypoints2D) -> AssumedCamera:
+    """Return the camera of a view. Raises MismatchError where its image size is not known."""
+    width, height = view.image_size
+    if (width, height) == (0, 0):
+        raise MismatchError(
+            f"{view.source}: expected the size of the images of camera {view.camera}, by which "
+            "its focal length is guessed, found none; use --image-size "
+            f"{view.camera}:WIDTHxHEIGHT, or give the intrinsics with --cameras"
+        )
+    focal = DEFAULT_FOCAL * max(width, height)
+    middle = (width - 1) / 2, (height - 1) / 2
+    return AssumedCamera(
+        name=view.camera,
+        size=(width, height),
+        matrix=np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]]),
+        distortion=np.zeros(5),
+        fisheye=False,
+    )

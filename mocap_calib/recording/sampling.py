@@ -4,12 +4,15 @@ All frames of a short recording except overcrowded ones; of a long one a fixed n
 the images and the pairs of views. Labels and 3D poses are made for all frames, in blocks.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.config import SampleConfig, SyncConfig
+from mocap_calib import mapped
+from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, SampleConfig, SyncConfig
+from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
 from mocap_calib.types import Bools, Camera, Floats, Ints, Reals, Recording, Sample
 
@@ -132,6 +135,69 @@ def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
         features.append(shown.reshape(len(shown), -1))
     pairs = [(sees[a] & sees[b])[:, None] for a, b in combinations(range(len(sees)), 2)]
     return np.concatenate([*features, *pairs], axis=1).astype(np.float64)
+
+
+def hide_blind_spots(recording: Recording) -> Recording:
+    """Return the recording without the detections that the cameras' lens models cannot undo.
+
+    With right intrinsics there are hardly any, and without distortion none.
+    """
+    if not any(camera.fisheye or camera.distortion.any() for camera in recording.cameras):
+        return recording
+
+    def show(block: slice) -> Reals:
+        """Return the positions of some frames, NaN where a camera has no ray for them."""
+        views = zip(recording.cameras, recording.positions[:, block], strict=True)
+        missing = np.float32(np.nan)
+        return np.stack(
+            [
+                np.where(np.isnan(lens.rays_from_pixels(camera, seen)[..., :1]), missing, seen)
+                for camera, seen in views
+            ]
+        )
+
+    frames = len(recording.frames)
+    positions = mapped.in_blocks(show, frames, axis=1)
+    confidence = mapped.in_blocks(
+        lambda block: recording.confidence[:, block] * np.isfinite(positions[:, block, ..., 0]),
+        frames,
+        axis=1,
+    )
+    return replace(recording, positions=positions, confidence=confidence)
+
+
+def check_joints(recording: Recording) -> None:
+    """Raise MismatchError where the keypoints do not suffice for a calibration.
+
+    There are too few of them, or a crowd asks for a model and it knows too few of them.
+    """
+    check_shared_keypoints(recording.keypoints)
+    known = int((recording.vocabulary >= 0).sum())
+    crowded = (recording.detected.sum(-1) > 1).mean() > CROWDED_SHARE
+    if known < LEAST_JOINTS and crowded and not recording.tracked.all():
+        names = ", ".join(recording.keypoints)
+        raise MismatchError(
+            f"expected at least {LEAST_JOINTS} joint names that the model knows, "
+            f"found {known} among {names}; map them with --skeleton"
+        )
+
+
+def check_known_joints(recording: Recording) -> None:
+    """Raise MismatchError where the model knows too few joints to lift a body."""
+    if (recording.vocabulary >= 0).sum() < LEAST_JOINTS:
+        raise MismatchError(
+            f"expected at least {LEAST_JOINTS} joints that a model knows, "
+            f"found {', '.join(recording.keypoints)}; map them with --skeleton"
+        )
+
+
+def check_shared_keypoints(keypoints: Sequence[str]) -> None:
+    """Raise MismatchError where two views share too few keypoints for a calibration."""
+    if len(keypoints) < LEAST_JOINTS:
+        raise MismatchError(
+            f"expected at least {LEAST_JOINTS} joints that two views have in common, "
+            f"found {', '.join(keypoints)}; detect more"
+        )
 
 
 # --- stretches of consecutive frames, in which clocks are compared

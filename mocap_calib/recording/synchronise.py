@@ -4,15 +4,21 @@ Files and cameras are joined by name, frames by number, keypoints by meaning.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, TYPICAL_PERCENTILE
+from mocap_calib.config import (
+    COPY_COMPARED,
+    COPY_FEW,
+    COPY_SHARE,
+    COPY_TOLERANCE,
+    TYPICAL_PERCENTILE,
+)
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.lens import rays_from_pixels
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.names import (
     keypoint_meanings,
@@ -20,7 +26,7 @@ from mocap_calib.recording.names import (
     pair_with_cameras,
     shared_keypoints,
 )
-from mocap_calib.recording.views import check_copies, find_repeated
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     Bools,
     Camera,
@@ -30,6 +36,7 @@ from mocap_calib.types import (
     Recording,
     Skeleton,
 )
+from mocap_calib.wording import count
 
 
 @dataclass(frozen=True)
@@ -116,75 +123,37 @@ def recording_of_views(joined: JoinedViews) -> Recording:
     )
 
 
-def hide_blind_spots(recording: Recording) -> Recording:
-    """Return the recording without the detections that the cameras' lens models cannot undo.
+def split_by_view(
+    cameras: Sequence[Camera],
+    *,
+    keypoints: tuple[str, ...],
+    frames: Ints,
+    positions: Reals,
+    confidence: Reals,
+    tracked: Bools,
+    source: str,
+) -> tuple[Keypoints2D, ...]:
+    """Return the keypoints of each view, in the order of the cameras.
 
-    With right intrinsics there are hardly any, and without distortion none.
+    keypoints: `[keypoint]` names. frames: `[frame]` numbers, the same in all views.
+    positions: `[view, frame, instance, keypoint, 2]` pixels, NaN = missing.
+    confidence: `[view, frame, instance, keypoint]`, 0 = missing.
+    tracked: `[view]` whether the instance index names the same individual in all frames.
+    source: where the arrays come from; the name of the camera follows it in messages.
     """
-    if not any(camera.fisheye or camera.distortion.any() for camera in recording.cameras):
-        return recording
-    frames = len(recording.frames)
-
-    def find_blind(block: slice) -> Bools:
-        """Return `[view, frame, instance, keypoint]` where a ray is missing that was seen."""
-        views = zip(recording.cameras, recording.positions[:, block], strict=True)
-        return np.stack(
-            [
-                np.isnan(rays_from_pixels(camera, seen)[..., 0]) & np.isfinite(seen[..., 0])
-                for camera, seen in views
-            ]
+    return tuple(
+        Keypoints2D(
+            camera=camera.name,
+            keypoints=keypoints,
+            frames=frames,
+            positions=positions[view],
+            confidence=confidence[view],
+            tracked=bool(tracked[view]),
+            image_size=camera.size,
+            source=f"{source} {camera.name}",
         )
-
-    blind = mapped.in_blocks(find_blind, frames, axis=1)
-    if not blind.any():
-        return recording
-
-    def hide(name: str, value: float) -> Reals:
-        array = getattr(recording, name)
-        hidden = blind[..., None] if name == "positions" else blind
-        return mapped.in_blocks(
-            lambda block: np.where(hidden[:, block], np.float32(value), array[:, block]),
-            frames,
-            axis=1,
-        )
-
-    return replace(
-        recording, positions=hide("positions", np.nan), confidence=hide("confidence", 0.0)
+        for view, camera in enumerate(cameras)
     )
-
-
-def check_joints(recording: Recording) -> None:
-    """Raise MismatchError where the keypoints do not suffice for a calibration.
-
-    There are too few of them, or a crowd asks for a model and it knows too few of them.
-    """
-    check_shared_keypoints(recording.keypoints)
-    known = int((recording.vocabulary >= 0).sum())
-    crowded = (recording.detected.sum(-1) > 1).mean() > CROWDED_SHARE
-    if known < LEAST_JOINTS and crowded and not recording.tracked.all():
-        names = ", ".join(recording.keypoints)
-        raise MismatchError(
-            f"expected at least {LEAST_JOINTS} joint names that the model knows, "
-            f"found {known} among {names}; map them with --skeleton"
-        )
-
-
-def check_known_joints(recording: Recording) -> None:
-    """Raise MismatchError where the model knows too few joints to lift a body."""
-    if (recording.vocabulary >= 0).sum() < LEAST_JOINTS:
-        raise MismatchError(
-            f"expected at least {LEAST_JOINTS} joints that a model knows, "
-            f"found {', '.join(recording.keypoints)}; map them with --skeleton"
-        )
-
-
-def check_shared_keypoints(keypoints: Sequence[str]) -> None:
-    """Raise MismatchError where two views share too few keypoints for a calibration."""
-    if len(keypoints) < LEAST_JOINTS:
-        raise MismatchError(
-            f"expected at least {LEAST_JOINTS} joints that two views have in common, "
-            f"found {', '.join(keypoints)}; detect more"
-        )
 
 
 def _shared_frames(views: Sequence[Keypoints2D]) -> Ints:
@@ -295,3 +264,135 @@ def _check_covisible(confidence: Reals) -> None:
             "expected frames in which two cameras see the subject, "
             "found no co-visible detections; check that the files are of one recording"
         )
+
+
+# --- detections given twice
+#
+# Detections are the same where all coordinates are, between the files of two cameras up to the
+# digits that these keep: two cameras never see the same. Subjects that stand still, and cameras
+# side by side, look alike but never to the hundredth of a pixel in tens of detections.
+
+_LEAST_JOINTS = 3  # seen: single points of two bodies may be the same pixel
+
+
+def find_repeated(positions: Reals) -> Bools:
+    """Return `[frame, instance]` whether an earlier detection of the frame is the same.
+
+    Two are the same where they have the same keypoints, three at least, at the same places.
+    positions: `[frame, instance, keypoint, 2]` in pixels, NaN = missing.
+    """
+    frames, instances = positions.shape[:2]
+    repeated = np.zeros((frames, instances), dtype=bool)
+    if instances < 2:
+        return repeated
+    seen = np.isfinite(positions[..., 0])
+    enough = seen.sum(-1) >= _LEAST_JOINTS
+    key = np.where(enough, np.where(seen, positions[..., 0], 0.0).sum(-1), np.nan)
+    for earlier, later in combinations(range(instances), 2):
+        alike = np.flatnonzero(key[:, earlier] == key[:, later])
+        first, second = positions[alike, earlier], positions[alike, later]
+        same = (first == second) | (np.isnan(first) & np.isnan(second))
+        repeated[alike, later] |= same.all((-1, -2))
+    return repeated
+
+
+@dataclass(frozen=True)
+class Copy:
+    """Two views with the same detections.
+
+    shift: frames by which those of the second come later.
+    """
+
+    first: Keypoints2D
+    second: Keypoints2D
+    shift: int
+
+    @property
+    def says(self) -> str:
+        """Which cameras and files have the same detections, for a person."""
+        first, second = self.first, self.second
+        later = ""
+        if self.shift:
+            view = second if self.shift > 0 else first
+            later = f", {count(abs(self.shift), 'frame')} later in {view.camera}"
+        return (
+            f"{first.camera} and {second.camera} have the same detections "
+            f"({first.source}, {second.source}{later})"
+        )
+
+
+def check_copies(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> None:
+    """Raise MismatchError where two views have the same detections.
+
+    meanings: of the names of their keypoints, see `recording.names.keypoint_meanings`.
+    """
+    copies = find_copies(views, meanings)
+    if copies:
+        raise MismatchError(
+            "expected a file of its own for each camera, "
+            f"found that {copies[0].says}; "
+            "give each camera its own file, or leave one of the two out"
+        )
+
+
+def find_copies(
+    views: Sequence[Keypoints2D], meanings: Mapping[str, str], *, least: int = COPY_FEW
+) -> list[Copy]:
+    """Return the pairs of views with the same detections, in any order, at a constant shift.
+
+    meanings: of the names of their keypoints. least: distinct detections of the view that has
+        fewer; of fewer nothing is certain.
+    """
+    own = [{meanings[name]: k for k, name in enumerate(view.keypoints)} for view in views]
+    shared = [meaning for meaning in own[0] if all(meaning in of for of in own)] if own else []
+    if not shared:
+        return []
+    columns = [np.array([of[meaning] for meaning in shared], dtype=np.int64) for of in own]
+    pairs = zip(views, columns, strict=True)
+    found = list(map_in_threads(lambda pair: _project_detections(*pair), pairs))
+    shifts = [
+        (a, b, _find_shift(found[a], found[b], least))
+        for a, b in combinations(range(len(views)), 2)
+    ]
+    return [Copy(views[a], views[b], shift) for a, b, shift in shifts if shift is not None]
+
+
+def _project_detections(view: Keypoints2D, columns: Ints) -> tuple[Reals, Ints]:
+    """Return the detections of a view as numbers `[detection]`, ascending, and their frames.
+
+    The coordinates of some keypoints (columns: `[keypoint]`), summed with fixed weights.
+    """
+    weights = np.cos(np.arange(2 * len(columns)))
+    numbers, frames = [np.zeros(0)], [np.zeros(0, np.int64)]
+    for rows in mapped.frame_slices(len(view.frames)):
+        block = view.positions[rows][:, :, mapped.as_slice(columns)]
+        frame, instance = np.nonzero(np.isfinite(block).any((2, 3)))
+        seen = np.nan_to_num(block[frame, instance].astype(np.float64))
+        numbers.append(seen.reshape(len(seen), -1) @ weights)
+        frames.append(view.frames[rows][frame])
+    order = np.argsort(number := np.concatenate(numbers), kind="stable")
+    return number[order], np.concatenate(frames)[order]
+
+
+def _find_shift(first: tuple[Reals, Ints], second: tuple[Reals, Ints], least: int) -> int | None:
+    """Return by how many frames the second view is later, None where it is another camera's.
+
+    Some detections of the view that has fewer are held against the equal ones of the other view.
+    """
+    (ours, our_frames), (theirs, their_frames) = sorted((first, second), key=lambda x: len(x[0]))
+    tolerance = COPY_TOLERANCE * float(np.abs(ours).max(initial=0.0))
+    distinct = np.flatnonzero(np.diff(ours, prepend=-np.inf) > tolerance)
+    if len(distinct) < least:
+        return None
+    chosen = evenly_spaced(distinct, COPY_COMPARED)
+    low = np.searchsorted(theirs, ours[chosen] - tolerance)
+    high = np.searchsorted(theirs, ours[chosen] + tolerance)
+    candidates = low[:, None] + np.arange(COPY_FEW)
+    of, column = np.nonzero(candidates < high[:, None])
+    shifts = their_frames[candidates[of, column]] - our_frames[chosen[of]]
+    found = np.unique(np.column_stack([of, shifts]), axis=0)[:, 1]
+    values, counts = np.unique(found, return_counts=True)
+    if not len(values) or counts.max() < COPY_SHARE * len(chosen):
+        return None
+    shift = int(values[counts.argmax()])
+    return shift if ours is first[0] else -shift

@@ -7,7 +7,7 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.lens import project_points
-from mocap_calib.recording.views import split_by_view
+from mocap_calib.recording.synchronise import split_by_view
 from mocap_calib.synthetic.bodies import JOINTS
 from mocap_calib.synthetic.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.synthetic.signals import direction

@@ -16,7 +16,7 @@ from mocap_calib.adjust.camera_fit import KnownPoints, median_error, place_point
 from mocap_calib.adjust.covariance import cautious_covariances, covariance_of, fit_again
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.resection import find_lost_camera
-from mocap_calib.clocks.estimate import estimate_clocks
+from mocap_calib.clocks.estimate import clocks_from, clocks_of_rates, estimate_clocks, retime
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
@@ -25,9 +25,7 @@ from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.provenance import judgement, round_sigma
 from mocap_calib.lift.lift import RememberedLift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
-from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.recording.timeline import clocks_from, clocks_of_rates, retime
+from mocap_calib.recording.sampling import choose_sample_frames, hide_blind_spots, take_sample
 from mocap_calib.results import (
     Adjusted,
     Cause,

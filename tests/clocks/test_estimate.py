@@ -9,7 +9,7 @@ from oracles import clocks as oracle
 from scenes import lifted, recording
 
 from mocap_calib.clocks.compare import ViewInTime, compared_pairs, search_rotation
-from mocap_calib.clocks.estimate import combine_clocks, find_clocks
+from mocap_calib.clocks.estimate import Retimed, clocks_from, combine_clocks, find_clocks, retime
 from mocap_calib.clocks.maps import (
     LARGEST_STEP,
     Agreements,
@@ -22,7 +22,6 @@ from mocap_calib.clocks.maps import (
 from mocap_calib.config import SyncConfig
 from mocap_calib.faults.words import clock_faults, option_of
 from mocap_calib.kernels import clocks as kernels
-from mocap_calib.recording.timeline import Retimed, clocks_from, retime
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import CameraClock
 

@@ -27,9 +27,8 @@ from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.poses.read import read_poses
-from mocap_calib.recording.corrections import Moved
+from mocap_calib.recording.corrections import Moved, list_epochs, rig_of_epoch
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.recording.timeline import list_epochs, rig_of_epoch
 from mocap_calib.rig.triangulate import choose_frames
 from mocap_calib_cli.commands import report as report_command
 

@@ -7,7 +7,7 @@ import pytest
 from scenes import scene
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.recording.views import assume_cameras
+from mocap_calib.recording.names import assume_cameras
 
 FILES = scene(cameras=2, frames=5).files
 

@@ -7,8 +7,7 @@ import pytest
 from scenes import PEOPLE, scene
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.recording.views import find_copies
+from mocap_calib.recording.synchronise import find_copies, make_recording
 
 
 def views():

@@ -20,7 +20,7 @@ from mocap_calib.recording.corrections import (
     apply_mends,
     exchanged_sides,
 )
-from mocap_calib.recording.synchronise import hide_blind_spots
+from mocap_calib.recording.sampling import hide_blind_spots
 from mocap_calib.types import Camera, EstimatedCamera, Recording
 
 WIDTH, HEIGHT = 1280, 720
@@ -166,4 +166,4 @@ def test_what_a_lens_cannot_undo_is_no_detection(recording):
     assert 0 < lost[0].sum() < recording.seen[0].sum()
     assert not lost[1:].any()
     assert (hidden.confidence[lost] == 0).all()
-    assert hide_blind_spots(recording) is recording
+    assert hide_blind_spots(recording) == recording

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from mocap_calib.recording.corrections import Moved, apply_mends
-from mocap_calib.recording.timeline import (
+from mocap_calib.recording.corrections import (
+    Moved,
+    apply_mends,
     list_epochs,
     own_name,
     own_names,

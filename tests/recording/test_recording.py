@@ -15,8 +15,7 @@ from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton, match_names
 from mocap_calib.recording.names import match_cameras, views_with_detections
 from mocap_calib.recording.sampling import take_sample
-from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.recording.views import find_repeated
+from mocap_calib.recording.synchronise import find_repeated, make_recording
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 
 PEOPLE = load_skeleton("people")

@@ -8,8 +8,7 @@ from scenes import scene
 from mocap_calib.inspection.finding import InspectConfig
 from mocap_calib.inspection.problems import _find_weaknesses
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.recording.views import find_repeated
+from mocap_calib.recording.synchronise import find_repeated, make_recording
 from mocap_calib.types import Keypoints2D
 
 

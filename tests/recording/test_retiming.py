@@ -6,18 +6,13 @@ import numpy as np
 import pytest
 from scenes import recording, scene, truth
 
+from mocap_calib.clocks.estimate import clocks_from, clocks_of_rates, own_frames, retime
 from mocap_calib.config import SyncConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
 from mocap_calib.recording.sampling import choose_stretches
-from mocap_calib.recording.timeline import (
-    clocks_from,
-    clocks_of_rates,
-    own_frames,
-    retime,
-)
 from mocap_calib.results import NO_FRAME, Clocks
 from mocap_calib.types import CameraClock
 

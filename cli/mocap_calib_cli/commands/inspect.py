@@ -106,14 +106,22 @@ def _is_critical(report: dict[str, Any]) -> bool:
 
 def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> None:
     """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
-    from mocap_calib.clocks.estimate import compare_clocks
+    from mocap_calib.clocks.estimate import estimate_clocks
+    from mocap_calib.config import Config
     from mocap_calib.faults.words import clock_faults, describe_clock, option_of
     from mocap_calib.job.load import load_recording
+    from mocap_calib.lift.lift import RememberedLift
+    from mocap_calib.lift.lifter import choose_model
+    from mocap_calib.results import Clocks
+    from mocap_calib.types import silent
     from mocap_calib_cli import inputs
 
     file = inputs.load_camera_file(shared.cameras, "--cameras") if shared.cameras else None
     recording = load_recording(inputs.keypoint_source(shared), file).recording
-    clocks = compare_clocks(recording, recording.model)
+    recording, lifter = choose_model(recording, recording.model)
+    lift_sample = RememberedLift(lifter, silent)
+    cameras = estimate_clocks(recording, lift_sample, {}, Config(), seed=0)
+    clocks = Clocks.of_one(recording, cameras)
     report["clocks"] = [describe_clock(clock, clocks) for clock in clocks.cameras]
     for fault in clock_faults(clocks, applied=True):
         option = option_of(fault.mend) if fault.mend else ""

@@ -21,7 +21,7 @@ from mocap_calib.io.provenance import hold_for
 from mocap_calib.io.results.matches_csv import matches_csv
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
-from mocap_calib.recording.timeline import Epoch, epoch_folder, list_epochs, rig_of_epoch
+from mocap_calib.recording.corrections import Epoch, epoch_folder, list_epochs, rig_of_epoch
 from mocap_calib.results import Clocks, GroupResult
 from mocap_calib.types import CameraRig
 

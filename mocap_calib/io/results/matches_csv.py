@@ -12,8 +12,8 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import decode, malformed, read_bytes
 from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
+from mocap_calib.recording.corrections import own_name
 from mocap_calib.recording.names import compose_name
-from mocap_calib.recording.timeline import own_name
 from mocap_calib.results import NO_FRAME, Clocks, Matches
 from mocap_calib.types import Bools, Ints, Reals, Recording
 
