@@ -26,8 +26,7 @@ from mocap_calib.paper import (
     five_point_over_matches,
     match_by_pose,
 )
-from mocap_calib.paper.losses import TwoViews
-from mocap_calib.paper.solver import PaperConfig, solve_pair, solve_pairs
+from mocap_calib.paper.solver import PaperConfig, TwoViews, solve_pairs
 from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
 from mocap_calib.training.model import LifterModule, Model, load_steerer
 from mocap_calib.types import Bools, Floats, Sample, Skeleton, silent
@@ -238,7 +237,7 @@ def paper(architecture: str, config: PaperConfig) -> Method:
         views = [_two_views(problem, model.config.joints) for problem in problems]
         start = time.perf_counter()
         for k in range(min(TIMED, len(views))):
-            solve_pair(views[k], model, config, torch.Generator().manual_seed(k))
+            solve_pairs(views[k : k + 1], model, config, torch.Generator().manual_seed(k))
         seconds = (time.perf_counter() - start) / max(min(TIMED, len(views)), 1)
         generator = torch.Generator().manual_seed(0)
         alike = _as_many_instances(views)

@@ -6,6 +6,7 @@ imports torch.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -221,37 +222,44 @@ def _count_inliers(problem: _Problem, pose: RelativePose) -> float:
     return float((inliers * right).sum())
 
 
-@dataclass(frozen=True)
-class FivePointPairs:
-    """A `solve.PairSolver`: RANSAC over matches of detections, five-point on their joints.
+def find_by_five_point(pair: ViewPair, focal: float, *, config: FivePointConfig) -> Found | None:
+    """Return the relative pose with most inliers, or None where nothing is matched.
 
-    What it finds is scored as any other relative pose. focal: `[view]` pixels.
+    focal: of both views in pixels, the mean.
+    """
+    rays_a, rays_b = pair.a.rays_or_nan, pair.b.rays_or_nan
+    threshold = config.inlier_px / focal
+    return five_point_over_matches(rays_a, rays_b, threshold, pair.rng, config=config)
+
+
+@dataclass(frozen=True)
+class ReferencePairs:
+    """A `solve.PairSolver` by a reference; what it finds is scored as any other relative pose.
+
+    find: of a problem and the mean focal length of both views, R and t of b_from_a and matches
+        `[match, 3]` (frame, instance in a, instance in b), or None. source: its name.
+    focal: `[view]` pixels.
     """
 
+    find: Callable[[ViewPair, float], tuple[Floats, Floats, Ints] | None]
+    source: str
     focal: Floats
     pairwise: PairwiseConfig
-    config: FivePointConfig
 
     def __call__(self, pair: ViewPair) -> PairwiseCalibration | None:
-        """Return the relative pose with most inliers, or None where nothing is matched."""
+        """Return the relative pose, or None where nothing is matched."""
         if pair.shared_frames == 0:
             return None
-        focal = mean_focal(pair, self.focal)
-        found = five_point_over_matches(
-            pair.a.rays_or_nan,
-            pair.b.rays_or_nan,
-            self.config.inlier_px / focal,
-            pair.rng,
-            config=self.config,
-        )
+        found = self.find(pair, mean_focal(pair, self.focal))
         if found is None:
             return None
+        rotation, translation, matches = found
         return judge_pair(
             pair,
-            rotation=found.rotation,
-            translation=found.translation,
-            matches=found.matches,
-            source="five-point",
+            rotation=rotation,
+            translation=translation,
+            matches=matches,
+            source=self.source,
             config=self.pairwise,
         )
 
@@ -269,18 +277,12 @@ def choose_pair_solver(
         return None
     focal = np.array([camera.focal for camera in recording.cameras])
     if name == "five-point":
-        return FivePointPairs(focal=focal, pairwise=config, config=FivePointConfig())
-    from mocap_calib.paper.solver import (  # noqa: PLC0415 - torch: over 1 s
-        PaperConfig,
-        PaperPairs,
-    )
+        find = partial(find_by_five_point, config=FivePointConfig())
+        return ReferencePairs(find, "five-point", focal, config)
+    from mocap_calib.paper.solver import find_by_descent  # noqa: PLC0415 - torch: over 1 s
     from mocap_calib.training.model import load_steerer, module_of  # noqa: PLC0415
 
     steers_by_token = recording.model != GEOMETRY_ALONE and is_token(recording.model)
-    return PaperPairs(
-        model=load_steerer(recording.model)[0] if steers_by_token else module_of(lifter),
-        vocabulary=recording.vocabulary,
-        focal=focal,
-        pairwise=config,
-        config=PaperConfig(),
-    )
+    model = load_steerer(recording.model)[0] if steers_by_token else module_of(lifter)
+    descend = partial(find_by_descent, model=model, vocabulary=recording.vocabulary)
+    return ReferencePairs(descend, "paper", focal, config)

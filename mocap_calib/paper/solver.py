@@ -1,8 +1,9 @@
 """The paper's solver: rotation and matches of two views by gradient descent through SteerPose.
 
 Lee et al., BMVC 2025, section 3.2 and appendix C.3: Adam from a random rotation on
-L_match + lambda L_geom, up to five tries until the 3D poses reproject within 10 pixels. A measured
-reference; `pairs.solve` is the program's own. Pairs of views and tries run in one batch.
+L_match + lambda L_geom (similarity, differentiable matching, geometric consistency), up to five
+tries until the 3D poses reproject within 10 pixels. A measured reference; `pairs.solve` is the
+program's own. Pairs of views and tries run in one batch.
 """
 
 import copy
@@ -11,36 +12,171 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from mocap_calib.config import LEAST_JOINTS, PairwiseConfig
+from mocap_calib.config import LEAST_FORWARD, LEAST_JOINTS
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.lift.lift import rays_by_joint
-from mocap_calib.pairs.solve import judge_pair, mean_focal
 from mocap_calib.pairs.view_pair import ViewPair
-from mocap_calib.paper.losses import (
-    Batch,
-    TwoViews,
-    geometric_loss,
-    keypoint_distance,
-    matching_loss,
-    similarity,
-    sinkhorn,
-    stack_problems,
-    with_dummies,
-)
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.results import PairwiseCalibration
 from mocap_calib.training import torch_threads
 from mocap_calib.training.model import Model, matrix_from_vector, normalise, prepare_steering
 from mocap_calib.types import Floats, Ints
 
-_FAR_PX = 100.0  # a joint reprojected farther away, or behind a camera, counts as this
+_EPSILON = 1e-12
 
+
+@dataclass(frozen=True)
+class TwoViews:
+    """The detections of views a and b in the joints of the model.
+
+    rays_a, rays_b: `[frame, I | J, joint, 3]` unit rays, NaN = missing. focal: mean focal length of
+    both cameras in pixels.
+    """
+
+    rays_a: Floats
+    rays_b: Floats
+    focal: float
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Problems side by side: B problems, F frames, I and J instances, N joints.
+
+    pose: `[B, F, I, N, 2]` normalised image points and ray: `[B, F, I, N, 3]` unit rays, 0 where
+    not seen. seen: `[B, F, I, N]` bool. focal: `[B]` pixels.
+    """
+
+    pose_a: Tensor
+    pose_b: Tensor
+    seen_a: Tensor
+    seen_b: Tensor
+    ray_a: Tensor
+    ray_b: Tensor
+    focal: Tensor
+
+    def select(self, problems: list[int]) -> "Batch":
+        """Return these problems (indices) alone."""
+        return Batch(**{name: part[problems] for name, part in vars(self).items()})
+
+    @property
+    def possible(self) -> Tensor:
+        """`[B, F, I, J]` pairs of bodies with enough joints to be steered."""
+        present_a, present_b = (seen.sum(-1) >= LEAST_JOINTS for seen in (self.seen_a, self.seen_b))
+        return present_a[..., :, None] & present_b[..., None, :]
+
+    @property
+    def most_matches(self) -> Tensor:
+        """`[B]` how many matches there can be in all frames together."""
+        bodies_a, bodies_b = (self.possible.any(axis).sum(-1) for axis in (-1, -2))
+        return torch.minimum(bodies_a, bodies_b).sum(-1)
+
+
+def stack_problems(problems: Sequence[TwoViews]) -> Batch:
+    """Return pairs of views with equal numbers of frames, instances and joints as one batch."""
+    parts = {}
+    for side in ("a", "b"):
+        ray = np.stack([getattr(problem, f"rays_{side}") for problem in problems])
+        seen = np.nan_to_num(ray[..., 2:]) > LEAST_FORWARD
+        pose = ray[..., :2] / np.where(seen, ray[..., 2:], 1.0)
+        parts[f"seen_{side}"] = torch.from_numpy(seen[..., 0])
+        parts[f"pose_{side}"] = torch.from_numpy(np.where(seen, pose, 0.0)).float()
+        parts[f"ray_{side}"] = torch.from_numpy(np.where(seen, ray, 0.0)).float()
+    return Batch(focal=torch.tensor([problem.focal for problem in problems]), **parts)
+
+
+def similarity(displacement: Tensor, *, alpha: float) -> Tensor:
+    """Return s = 2 / (1 + exp(alpha L_kp)) `[...]` of L_kp `[...]`, section 3.2: 1 of one pose."""
+    return 2 * torch.sigmoid(-alpha * displacement)
+
+
+def keypoint_distance(steered: Tensor, pose: Tensor, seen: Tensor) -> Tensor:
+    """Return L_kp (eq. 1) of all pairs of poses: `[..., I, J]` mean distance of the seen joints.
+
+    steered: `[..., I, N, 2]` complete poses; pose: `[..., J, N, 2]` observed ones; seen:
+    `[..., J, N]` bool. The size and place of a body in an image are not comparable between views:
+    both poses are centred and scaled over the joints that pose j shows.
+    """
+    weight = seen.to(pose.dtype)
+    weight = weight / weight.sum(-1, keepdim=True).clamp_min(1.0)  # (..., J, N)
+    known = torch.where(seen[..., None], pose, torch.zeros_like(pose))
+    observed = _centre_and_scale(known, weight)  # (..., J, N, 2)
+    weight = weight[..., None, :, :]  # (..., 1, J, N)
+    rotated = _centre_and_scale(steered[..., :, None, :, :], weight)  # (..., I, J, N, 2)
+    offset = rotated - observed[..., None, :, :, :]
+    distance = torch.sqrt(offset.square().sum(-1) + _EPSILON)  # (..., I, J, N)
+    return (distance * weight).sum(-1)
+
+
+def _centre_and_scale(pose: Tensor, weight: Tensor) -> Tensor:
+    """Return poses `[..., N, 2]` centred, with an RMS radius of 1, under weights `[..., N]`."""
+    weight = weight[..., None]
+    offset = pose - (pose * weight).sum(-2, keepdim=True)
+    square = (offset.square() * weight).sum((-1, -2), keepdim=True)
+    return offset / torch.sqrt(square + _EPSILON)
+
+
+def sinkhorn(score: Tensor, *, sharpness: float, sweeps: int) -> Tensor:
+    """Return the doubly stochastic weights `[..., S, S]` of a square of similarities.
+
+    Cuturi 2013, differentiable; in logarithms, so that any sharpness is safe; the columns are
+    normalised last. Where one side has fewer instances, `with_dummies` has filled it up: rows and
+    columns each sum to 1, dummies included.
+    """
+    weight = sharpness * score
+    for _ in range(sweeps):
+        weight = weight - weight.logsumexp(-1, keepdim=True)
+        weight = weight - weight.logsumexp(-2, keepdim=True)
+    return weight.exp()
+
+
+def with_dummies(score: Tensor, possible: Tensor) -> Tensor:
+    """Fill similarities `[..., I, J]` up to a square `[..., S, S]` with zeros: dummy targets.
+
+    For numbers of instances that differ (N != N' in section 3.2). possible: `[..., I, J]` bool,
+    whether both instances exist; one that does not is a dummy as well.
+    """
+    rows, columns = score.shape[-2:]
+    size = max(rows, columns)
+    known = torch.where(possible, score, torch.zeros_like(score))
+    return torch.nn.functional.pad(known, (0, size - columns, 0, size - rows))
+
+
+def matching_loss(weight: Tensor, score: Tensor, possible: Tensor) -> Tensor:
+    """Return L_match = sum w (1 - s) `[...]` over pairs of instances that exist.
+
+    Section 3.2, one direction. weight: `[..., S, S]` of `sinkhorn`; score: `[..., I, J]`;
+    possible: `[..., I, J]` bool, whether both instances exist.
+    """
+    rows, columns = score.shape[-2:]
+    return (weight[..., :rows, :columns] * (1 - score) * possible).sum((-1, -2))
+
+
+def geometric_loss(rotation: Tensor, rays_a: Tensor, rays_b: Tensor, weight: Tensor) -> Tensor:
+    """Return L_geom `[...]` (section 3.2): 0 where rotation and matches allow a translation.
+
+    sigma_1 / sigma_2 of the rows n = (R u_a) x u_b, from the eigenvalues of sum w n n'. This is
+    the paper's system of collinearity with the points eliminated (Kneip and Lynen 2013), without
+    its factor 1 + 1 / (2 |n|^2) of a row: n of rays that are nearly parallel, where |n| is small,
+    is noise, and a factor changes no zero, which is where the loss is led to.
+
+    rotation: `[..., 3, 3]` b_from_a; rays: `[..., N, 3]` of unit length; weight: `[..., N]`, 0 = no
+    match.
+    """
+    normal = torch.linalg.cross(rays_a @ rotation.transpose(-1, -2), rays_b)
+    matrix = torch.einsum("...n,...ni,...nj->...ij", weight, normal, normal)
+    trace = matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+    values = torch.linalg.eigvalsh(matrix / (trace + _EPSILON))  # (..., 3) ascending
+    # The root has no slope at zero: an angle of 1e-5 is below what any image resolves.
+    smallest, second = (values[..., :2].clamp_min(0) + 1e-10).unbind(-1)
+    return torch.sqrt(smallest / second)
+
+
+# --- the descent
 
 # Rotation vectors [B, 3] to the steered poses [B, F, I, N, 2] and [B, F, J, N, 2].
 SteerBoth = Callable[[Tensor], tuple[Tensor, Tensor]]
-GeometricLoss = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
@@ -56,7 +192,7 @@ class PaperConfig:
     sweeps: int = 10  # of Sinkhorn; open in the paper
     geometric_weight: float = 1.0  # lambda, "empirically determined"; 0 leaves L_geom out
     # L_geom `[B]` of rotations, rays and weights; the paper does not eliminate the points
-    geometric_loss: GeometricLoss = geometric_loss
+    geometric_loss: Callable[[Tensor, Tensor, Tensor, Tensor], Tensor] = geometric_loss
     geometric_from: float = 0.4  # share of the iterations before L_geom is active
     mutual: int = 2  # matches, mutual in both directions, before L_geom is active
     tries: int = 5
@@ -67,32 +203,14 @@ class PaperConfig:
 class PaperSolution:
     """What the solver found of one pair of views.
 
-    rotation: `[3, 3]` of b_from_a.
-    translation: `[3]` of b_from_a, a direction.
-    matches: `[match, 3]` rows (frame, i, j).
-    error: mean reprojection error in pixels, infinite without a match.
+    rotation: `[3, 3]` and translation: `[3]`, a direction, of b_from_a. matches: `[match, 3]` rows
+    (frame, i, j). error: mean reprojection error in pixels, infinite without a match.
     """
 
     rotation: Floats
     translation: Floats
     matches: Ints
     error: float
-
-
-def solve_pair(
-    views: TwoViews,
-    model: Model,
-    config: PaperConfig,
-    generator: torch.Generator,
-    *,
-    start: Tensor | None = None,
-) -> PaperSolution:
-    """Solve one pair of views.
-
-    start: `[3]` the first rotation vector to try; without it a random one.
-    """
-    starts = None if start is None else start[None]
-    return solve_pairs([views], model, config, generator, start=starts)[0]
 
 
 def solve_pairs(
@@ -129,15 +247,9 @@ def solve_pairs(
 
 
 def random_rotations(count: int, generator: torch.Generator) -> Tensor:
-    """Return rotation vectors `[count, 3]`, uniform over all rotations.
-
-    From random unit quaternions (Shoemake 1992).
-    """
-    quaternion = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
-    quaternion = torch.where(quaternion[:, :1] < 0, -quaternion, quaternion)
-    cosine, axis = quaternion[:, :1], quaternion[:, 1:]
-    sine = axis.norm(dim=1, keepdim=True)
-    return axis / sine.clamp_min(1e-9) * 2 * torch.atan2(sine, cosine)
+    """Return rotation vectors `[count, 3]`, uniform over all: of random quaternions (Shoemake)."""
+    quaternions = torch.randn(count, 4, generator=generator).numpy()
+    return torch.from_numpy(Rotation.from_quat(quaternions).as_rotvec()).float()
 
 
 def _descend(batch: Batch, model: Model, start: Tensor, config: PaperConfig) -> list[PaperSolution]:
@@ -162,7 +274,7 @@ def _descend(batch: Batch, model: Model, start: Tensor, config: PaperConfig) -> 
         schedule.step()
     with torch.no_grad():
         _, mutual = _match(batch, steer_both, vector, config)
-        return [_solution(batch, k, vector[k], mutual[k]) for k in range(len(vector))]
+        return [_solution(batch, k, vector[k], mutual[k], config) for k in range(len(vector))]
 
 
 def _prepare_steering_both_ways(batch: Batch, model: Model) -> SteerBoth:
@@ -191,7 +303,11 @@ def _match(
 
     The loss is the mean over the possible matches and both directions.
     """
-    score = _similarity_both_ways(batch, steer_both, vector, config)  # (2, B, F, I, J)
+    in_b, in_a = steer_both(vector)
+    distance_in_b = keypoint_distance(in_b, batch.pose_b, batch.seen_b)  # (B, F, I, J)
+    distance_in_a = keypoint_distance(in_a, batch.pose_a, batch.seen_a)  # (B, F, J, I)
+    distances = torch.stack([distance_in_b, distance_in_a.transpose(-1, -2)])
+    score = similarity(distances, alpha=config.alpha)  # (2, B, F, I, J)
     square = with_dummies(score, batch.possible)
     weight = sinkhorn(square, sharpness=config.sharpness, sweeps=config.sweeps)  # (2, B, F, S, S)
     losses = matching_loss(weight, score, batch.possible)  # (2, B, F)
@@ -201,17 +317,6 @@ def _match(
     rows, columns = score.shape[-2:]
     mutual = (best_of_row & best_of_column).all(0)[..., :rows, :columns]
     return loss, mutual & batch.possible
-
-
-def _similarity_both_ways(
-    batch: Batch, steer_both: SteerBoth, vector: Tensor, config: PaperConfig
-) -> Tensor:
-    """Return the similarities `[2, B, F, I, J]` in view b and in view a."""
-    in_b, in_a = steer_both(vector)
-    distance_in_b = keypoint_distance(in_b, batch.pose_b, batch.seen_b)  # (B, F, I, J)
-    distance_in_a = keypoint_distance(in_a, batch.pose_a, batch.seen_a)  # (B, F, J, I)
-    distances = torch.stack([distance_in_b, distance_in_a.transpose(-1, -2)])
-    return similarity(distances, alpha=config.alpha)
 
 
 def _geometric_term(batch: Batch, vector: Tensor, mutual: Tensor, config: PaperConfig) -> Tensor:
@@ -237,18 +342,22 @@ def _matched_rays(batch: Batch, mutual: Tensor) -> tuple[Tensor, Tensor, Tensor]
     return rays_a.flatten(1, 4), rays_b.flatten(1, 4), weight.flatten(1).to(rays_a.dtype)
 
 
-def _solution(batch: Batch, k: int, vector: Tensor, mutual: Tensor) -> PaperSolution:
-    """Return translation and reprojection error of problem k, in double precision."""
+def _solution(
+    batch: Batch, k: int, vector: Tensor, mutual: Tensor, config: PaperConfig
+) -> PaperSolution:
+    """Return translation and reprojection error of problem k, in double precision.
+
+    A joint reprojected farther than ten times `config.success_px` counts as this.
+    """
     all_a, all_b, weight = (part[0] for part in _matched_rays(batch.select([k]), mutual[None]))
     rays_a, rays_b = (rays[weight > 0].double().numpy() for rays in (all_a, all_b))  # [P, 3]
     rotation = matrix_from_vector(vector.double()).numpy()
     translation, error = np.array([0.0, 0.0, 1.0]), np.inf
     if len(rays_a) >= LEAST_JOINTS:
         translation = translation_direction(rotation, rays_a, rays_b)
-        error_px = batch.focal[k].item() * _reprojection_error(
-            rotation, translation, rays_a, rays_b
-        )
-        error = float(np.minimum(error_px, _FAR_PX).mean())
+        errors = _reprojection_errors(rotation, translation, rays_a, rays_b)
+        errors_px = batch.focal[k].item() * errors
+        error = float(np.minimum(errors_px, 10 * config.success_px).mean())
     matches = torch.nonzero(mutual).numpy().astype(np.int64)
     return PaperSolution(rotation, translation, matches, error)
 
@@ -265,63 +374,46 @@ def translation_direction(rotation: Floats, rays_a: Floats, rays_b: Floats) -> F
     return -direction if behind.sum() > in_front.sum() else direction
 
 
-def _reprojection_error(
+def _reprojection_errors(
     rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats
 ) -> Floats:
-    """Return the reprojection error `[N]` in normalised image units, the mean of both views.
+    """Return the errors `[N]` in normalised image units, the mean of both views.
 
-    The points are triangulated at the midpoints of the rays; infinite behind a camera. rotation:
-    `[3, 3]` and translation: `[3]` of b_from_a; rays: `[N, 3]` of unit length.
+    Points are triangulated at the midpoints of the rays; infinite behind a camera. The arguments
+    are those of `translation_direction`, and what it returns.
     """
     depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
     from_b = (depth_b[:, None] * rays_b - translation) @ rotation
     point_in_a = (depth_a[:, None] * rays_a + from_b) / 2
-    points = (point_in_a, point_in_a @ rotation.T + translation)
-    in_front = np.all([point[:, 2] > 1e-9 for point in points], axis=0)
+    points = point_in_a, point_in_a @ rotation.T + translation
+    depth = [np.maximum(point[:, 2:], 1e-9) for point in points]
     errors = [
-        np.linalg.norm(
-            point[:, :2] / np.maximum(point[:, 2:], 1e-9) - rays[:, :2] / rays[:, 2:], axis=-1
-        )
-        for point, rays in zip(points, (rays_a, rays_b), strict=True)
+        np.linalg.norm(point[:, :2] / z - rays[:, :2] / rays[:, 2:], axis=-1)
+        for point, z, rays in zip(points, depth, (rays_a, rays_b), strict=True)
     ]
-    return np.where(in_front, np.mean(errors, axis=0), np.inf)
+    return np.where(np.minimum(*depth)[:, 0] > 1e-9, np.mean(errors, axis=0), np.inf)
 
 
-@dataclass(frozen=True)
-class PaperPairs:
-    """A `solve.PairSolver`: gradient descent through a network from random rotations.
+def find_by_descent(
+    pair: ViewPair,
+    focal: float,
+    *,
+    model: Model,
+    vocabulary: Ints,
+    config: PaperConfig = PaperConfig(),
+) -> tuple[Floats, Floats, Ints]:
+    """Return the relative pose that the descent through a network from random rotations ends in.
 
+    R and t of b_from_a, and matches `[match, 3]`. focal: of both views in pixels, the mean.
     vocabulary: `[keypoint]` index of each keypoint in the model's joints, -1 = none.
-    focal: `[view]` pixels.
     """
-
-    model: Model
-    vocabulary: Ints
-    focal: Floats
-    pairwise: PairwiseConfig
-    config: PaperConfig
-
-    def __call__(self, pair: ViewPair) -> PairwiseCalibration | None:
-        """Return the relative pose that the descent ends in, or None where nothing is matched."""
-        if pair.shared_frames == 0:
-            return None
-        frames = evenly_spaced(np.arange(len(pair.frames)), self.config.frames)
-        generator = torch.Generator().manual_seed(int(pair.rng.integers(2**62)))
-        with torch_threads(1):
-            found = solve_pair(self._two_views(pair, frames), self.model, self.config, generator)
-        frame, instances = found.matches[:, 0], found.matches[:, 1:]
-        return judge_pair(
-            pair,
-            rotation=found.rotation,
-            translation=found.translation,
-            matches=np.column_stack([frames[frame], instances]),
-            source="paper",
-            config=self.pairwise,
-        )
-
-    def _two_views(self, pair: ViewPair, frames: Ints) -> TwoViews:
-        """Return the rays of both views in the joints of the model, in some of the frames."""
-        joints = self.model.config.joints
-        rays_a = rays_by_joint(pair.a.rays_or_nan[frames], self.vocabulary, joints)
-        rays_b = rays_by_joint(pair.b.rays_or_nan[frames], self.vocabulary, joints)
-        return TwoViews(rays_a, rays_b, mean_focal(pair, self.focal))
+    joints = model.config.joints
+    frames = evenly_spaced(np.arange(len(pair.frames)), config.frames)
+    rays_a, rays_b = (
+        rays_by_joint(view.rays_or_nan[frames], vocabulary, joints) for view in (pair.a, pair.b)
+    )
+    generator = torch.Generator().manual_seed(int(pair.rng.integers(2**62)))
+    with torch_threads(1):
+        (found,) = solve_pairs([TwoViews(rays_a, rays_b, focal)], model, config, generator)
+    frame, instances = found.matches[:, 0], found.matches[:, 1:]
+    return found.rotation, found.translation, np.column_stack([frames[frame], instances])

@@ -27,16 +27,16 @@ def test_a_rotation_token_calibrates_by_the_papers_solver_alone(tmp_path, monkey
     runner.invoke(simulate.command, [*SCENE, "-o", str(made)], catch_exceptions=False)
     truth = read_rig(made / "reference.toml")
     near = torch.from_numpy(vector_from_matrix(truth.relative(0, 1)[0])).float() + 0.06
-    steered, solve = [], solver.solve_pair
+    steered, solve = [], solver.solve_pairs
 
     def solve_from_near(*arguments: Any) -> Any:
         """Do what the solver does, in less time."""
         views, model, config, generator = arguments
         steered.append(model)
         few = replace(config, iterations=20, tries=1)
-        return solve(views, model, few, generator, start=near)
+        return solve(views, model, few, generator, start=near[None])
 
-    monkeypatch.setattr(solver, "solve_pair", solve_from_near)
+    monkeypatch.setattr(solver, "solve_pairs", solve_from_near)
     files = [str(made / "keypoints"), "--cameras", str(made / "intrinsics.toml"), "--no-report"]
     asked = [*files, "--quiet", "--model", "people_token", "-o"]
     done = runner.invoke(run.command, [*asked, str(tmp_path / "out"), "--solver", "paper"])

@@ -1,6 +1,7 @@
 """From a recording that no model knows to a model of its own; the paper's solver as a stage."""
 
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.lift.lifter import load_lifter
-from mocap_calib.paper.solver import PaperConfig, PaperPairs
+from mocap_calib.paper import ReferencePairs
+from mocap_calib.paper.solver import PaperConfig, find_by_descent
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.results import Poses3D
 from mocap_calib.training import OWN_SPECIES_TRAINING
@@ -148,13 +150,13 @@ def test_the_papers_solver_calibrates_pairs_of_the_pipeline():
     alone = ALONE | {"cameras": 2, "frames": 30}
     seen, (lifter, _) = recording(**alone), load_lifter()
     focal = np.array([camera.focal for camera in seen.cameras])
-    solve = PaperPairs(
-        module_of(lifter),
-        seen.vocabulary,
-        focal,
-        PairwiseConfig(),
-        replace(PaperConfig(), iterations=300),
+    descend = partial(
+        find_by_descent,
+        model=module_of(lifter),
+        vocabulary=seen.vocabulary,
+        config=PaperConfig(iterations=300),
     )
+    solve = ReferencePairs(descend, "paper", focal, PairwiseConfig())
     found = calibrate_group(seen, lifter=lifter, pair_solver=solve)
     assert found.pairs[0].source == "paper"
     assert rotation_errors_deg(found.rig, scene(**alone).rig).max() < 2.5

@@ -17,22 +17,24 @@ from mocap_calib.geometry.rotation import (
 )
 from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
 from mocap_calib.lift.lifter import ModelConfig, load_lifter
-from mocap_calib.paper import estimate_by_loransac, five_point_over_matches, solver
-from mocap_calib.paper.losses import (
-    TwoViews,
-    geometric_loss,
-    keypoint_distance,
-    matching_loss,
-    similarity,
-    sinkhorn,
-    with_dummies,
+from mocap_calib.paper import (
+    estimate_by_loransac,
+    five_point_over_matches,
+    solver,
 )
 from mocap_calib.paper.solver import (
     PaperConfig,
     PaperSolution,
+    TwoViews,
+    geometric_loss,
+    keypoint_distance,
+    matching_loss,
     random_rotations,
-    solve_pair,
+    similarity,
+    sinkhorn,
+    solve_pairs,
     translation_direction,
+    with_dummies,
 )
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.synthetic import people
@@ -53,6 +55,11 @@ from mocap_calib.training.train import measure_steering_error, train_steerer
 from mocap_calib.types import silent
 
 PEOPLE = load_skeleton("people")
+
+
+def solve_pair(views: TwoViews, *arguments, start: torch.Tensor | None = None) -> PaperSolution:
+    """Solve one pair of views, from a rotation vector `[3]` or a random one."""
+    return solve_pairs([views], *arguments, start=None if start is None else start[None])[0]
 
 
 @pytest.fixture
@@ -291,10 +298,15 @@ def test_who_is_not_there_costs_nothing():
 def test_matches_are_the_best_of_their_row_and_of_their_column(monkeypatch):
     """In both views; of the weights, and not of a dummy."""
     score = torch.rand(2, 1, 40, 3, 3, generator=torch.Generator().manual_seed(0))
-    monkeypatch.setattr(solver, "_similarity_both_ways", lambda *_: score)
+    nothing = torch.zeros(1, 40, 3, 3)
+    monkeypatch.setattr(solver, "keypoint_distance", lambda *_: nothing)
+    monkeypatch.setattr(solver, "similarity", lambda *_, **__: score)
     possible, config = torch.ones(1, 40, 3, 3, dtype=torch.bool), PaperConfig()
-    batch = SimpleNamespace(possible=possible, most_matches=torch.tensor([120]))
-    loss, mutual = solver._match(batch, None, None, config)
+    most = torch.tensor([120])
+    batch = SimpleNamespace(
+        possible=possible, most_matches=most, pose_a=None, pose_b=None, seen_a=None, seen_b=None
+    )
+    loss, mutual = solver._match(batch, lambda _: (None, None), None, config)
     weight = sinkhorn(
         with_dummies(score, possible), sharpness=config.sharpness, sweeps=config.sweeps
     )

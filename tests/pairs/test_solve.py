@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from types import SimpleNamespace
 
@@ -16,8 +17,9 @@ from mocap_calib.kernels.pair_refinement import LANES
 from mocap_calib.pairs.search import refine_poses
 from mocap_calib.pairs.solve import calibrate_pair, calibrate_pairs
 from mocap_calib.pairs.view_pair import gather_view_pair, in_blocks
-from mocap_calib.paper import FivePointConfig, FivePointPairs
-from mocap_calib.paper.solver import PaperConfig, PaperPairs
+from mocap_calib.paper import FivePointConfig, ReferencePairs, find_by_five_point, solver
+from mocap_calib.paper.solver import PaperConfig, PaperSolution
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.types import Recording, silent
 
@@ -178,7 +180,8 @@ def test_the_five_point_baseline_is_judged_as_any_other_pair():
     sample, rig = recording(), scene().rig
     focal = np.array([camera.focal for camera in sample.cameras])
     config = PairwiseConfig(frames=10)
-    solve = FivePointPairs(focal, config, FivePointConfig(candidates=20))
+    find = partial(find_by_five_point, config=FivePointConfig(candidates=20))
+    solve = ReferencePairs(find, "five-point", focal, config)
     rng = np.random.default_rng(0)
     found = solve(gather_view_pair(sample, lifted(), (1, 3), config=config, rng=rng))
     searched = pair_of(sample, 1, 3)
@@ -191,18 +194,24 @@ def test_the_five_point_baseline_is_judged_as_any_other_pair():
     assert baselines[0] == pytest.approx(baselines[1], rel=0.05)
 
 
-def test_the_papers_solver_is_given_the_rays_of_each_view_in_the_joints_of_its_network():
+def test_the_papers_solver_is_given_the_rays_of_each_view_in_the_joints_of_its_network(
+    monkeypatch,
+):
     """Which has them in another order, and one that nobody detects."""
-    sample, rng = recording(), np.random.default_rng(0)
+    sample, rng, given = recording(), np.random.default_rng(0), []
     config = PairwiseConfig(frames=10)
     pair = gather_view_pair(sample, lifted(), (1, 3), config=config, rng=rng)
     focal = np.array([camera.focal for camera in sample.cameras])
     keypoints = len(sample.keypoints)
     network = SimpleNamespace(config=SimpleNamespace(joints=keypoints + 1))
+    nothing = PaperSolution(np.eye(3), np.eye(3)[2], np.zeros((0, 3), int), np.inf)
+    monkeypatch.setattr(solver, "solve_pairs", lambda views, *_: given.extend(views) or [nothing])
     reverse = np.arange(keypoints)[::-1]
-    solve = PaperPairs(network, reverse, focal, PairwiseConfig(), PaperConfig())
-    given = solve._two_views(pair, np.array([2, 5]))
-    for rays, seen in ((given.rays_a, pair.a), (given.rays_b, pair.b)):
-        np.testing.assert_array_equal(rays[..., :-1, :], seen.rays_or_nan[[2, 5]][..., ::-1, :])
+    descend = partial(solver.find_by_descent, model=network, vocabulary=reverse)
+    ReferencePairs(descend, "paper", focal, config)(pair)
+    frames = evenly_spaced(np.arange(len(pair.frames)), PaperConfig().frames)
+    (views,) = given
+    for rays, seen in ((views.rays_a, pair.a), (views.rays_b, pair.b)):
+        np.testing.assert_array_equal(rays[..., :-1, :], seen.rays_or_nan[frames][..., ::-1, :])
         assert np.isnan(rays[..., -1, :]).all()
-    assert given.focal == pytest.approx((focal[1] + focal[3]) / 2)
+    assert views.focal == pytest.approx((focal[1] + focal[3]) / 2)
