@@ -19,10 +19,10 @@ __all__ = tuple(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name of `__all__` when it is first used (PEP 562), and `methods` before it."""
+    """Import a name of `__all__` when it is first used (PEP 562), and `front` before it."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    import_module(f"{__name__}.methods")  # binds rig.project, result.plot, ...
+    import_module(f"{__name__}.front")  # binds rig.project, result.plot, ...
     value = getattr(import_module(_MODULE_OF[name]), name)
     globals()[name] = value
     return value

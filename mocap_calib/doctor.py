@@ -25,9 +25,9 @@ from mocap_calib.compute import BLAS_THREADS, identify_program
 from mocap_calib.compute.parallel import thread_count
 from mocap_calib.config import Config
 from mocap_calib.errors import MocapCalibError
+from mocap_calib.front import from_keypoints
 from mocap_calib.kernels.jit import compile_ahead
 from mocap_calib.lift.lifter import digest, load_lifter
-from mocap_calib.methods import from_keypoints
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.synthetic import simulate

@@ -576,12 +576,12 @@ class Poses3D(Record):
             lambda block: np.sqrt(self.covariance[block][..., [0, 3, 5]].sum(-1, dtype=np.float64))
         )
 
-    if TYPE_CHECKING:  # bound by `methods`
+    if TYPE_CHECKING:  # bound by `front`
 
         def to_xarray(
             self, fps: float | None = None, individuals: Sequence[str] = ()
         ) -> "xarray.Dataset":
-            """Return the poses as a data set of `movement`, see `methods.to_xarray`."""
+            """Return the poses as a data set of `movement`, see `front.to_xarray`."""
 
 
 @dataclass(frozen=True)
@@ -654,10 +654,10 @@ class GroupResult(Record):
     def __repr__(self) -> str:
         return f"GroupResult({self._describe()})"
 
-    if TYPE_CHECKING:  # bound by `methods`
+    if TYPE_CHECKING:  # bound by `front`
 
         def plot(self, *, moments: int = ...) -> "Figure":
-            """Return a figure of plotly, see `methods.plot`."""
+            """Return a figure of plotly, see `front.plot`."""
 
     @property
     def rig(self) -> CameraRig:
@@ -725,10 +725,10 @@ class CalibrationResult(Record):
         title = f"CalibrationResult of {count(len(self.groups), 'group')} of cameras"
         return "\n".join([title, *lines])
 
-    if TYPE_CHECKING:  # bound by `methods`
+    if TYPE_CHECKING:  # bound by `front`
 
         def plot(self, *, moments: int = ...) -> "Figure":
-            """Return a figure of plotly, see `methods.plot`."""
+            """Return a figure of plotly, see `front.plot`."""
 
 
 # where a camera of a calibration is: docs/verify.md says what each means

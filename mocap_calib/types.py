@@ -530,7 +530,7 @@ class CameraRig(Record):
         """`[view, 3]` rotation vectors of cam_from_world in radians."""
         return _rotation_vectors(self.rotation)
 
-    if TYPE_CHECKING:  # bound by `methods`
+    if TYPE_CHECKING:  # bound by `front`
 
         def project(self, points: ArrayLike) -> Floats:
             """Return the pixels of points in world coordinates, see `geometry.lens`."""
@@ -538,7 +538,7 @@ class CameraRig(Record):
         def triangulate(
             self, pixels: ArrayLike, confidence: ArrayLike | None = None
         ) -> tuple[Floats, Floats]:
-            """Return the points that pixels show, see `methods.triangulate`."""
+            """Return the points that pixels show, see `front.triangulate`."""
 
     def _pose(self, view: int) -> PosedCamera:
         """Return the camera of a view (index) with its extrinsics."""
@@ -675,7 +675,7 @@ class Recording(Record):
         ]
         return f"{type(self).__name__}({', '.join(parts)})"
 
-    if TYPE_CHECKING:  # bound by `methods`
+    if TYPE_CHECKING:  # bound by `front`
 
         @staticmethod
         def from_arrays(
@@ -687,13 +687,13 @@ class Recording(Record):
             frames: ArrayLike | None = None,
             tracked: bool = False,
         ) -> "Recording":
-            """Return the recording of detections in arrays, see `methods.from_arrays`."""
+            """Return the recording of detections in arrays, see `front.from_arrays`."""
 
         @staticmethod
         def from_keypoints(
             views: Sequence[Keypoints2D], cameras: Sequence[Camera] | CameraRig
         ) -> "Recording":
-            """Return the recording of keypoints that were read, see `methods.from_keypoints`."""
+            """Return the recording of keypoints that were read, see `front.from_keypoints`."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from forked_command import ForkedCommand
 from scenes import scene
 from threadpoolctl import threadpool_limits
 
-import mocap_calib.methods  # noqa: F401 - binds rig.project and others, as the front door does
+import mocap_calib.front  # noqa: F401 - binds rig.project and others, as the front door does
 from mocap_calib.io.results.scene import write_scene
 from mocap_calib.io.sandbox import _calls
 

@@ -122,12 +122,12 @@ DOORS = {  # module: where alone it is imported
     "pynwb": ("mocap_calib/io/",),
     "rerun": ("mocap_calib/io/poses/rerun_file.py",),
     "bpy": ("mocap_calib/io/poses/blender_scene.py",),  # which Blender runs
-    # results and methods name both to type checkers
-    "xarray": ("mocap_calib/io/", "mocap_calib/results.py", "mocap_calib/methods.py"),
+    # results and front name both to type checkers
+    "xarray": ("mocap_calib/io/", "mocap_calib/results.py", "mocap_calib/front.py"),
     "plotly": (
         "mocap_calib/notebook/figure.py",
         "mocap_calib/results.py",
-        "mocap_calib/methods.py",
+        "mocap_calib/front.py",
     ),
     "tomli_w": ("mocap_calib/io/",),
     "yaml": ("mocap_calib/io/", "mocap_calib/recording/joints.py"),
