@@ -68,15 +68,17 @@ class Sightings:
         known = np.isfinite(self.bodies[self.frame, ..., 0])
         return np.asarray(known & np.isfinite(self.image[:, None, :, 0]))
 
-    def known_points(self, body: Ints, counted: Bools) -> Seen:
+    def known_points(self, body: Ints, counted: Bools, image: Floats, *, blocks: int = 1) -> Seen:
         """Return the joints of bodies (`[detection]` indices) and where they were seen.
 
-        counted: `[detection]` of which these are.
+        counted: `[detection]` of which these are. image: `[detection, joint, 2]` where, in pixels
+        or focal lengths. blocks: stretches of time.
         """
         points = self.bodies[self.frame, body]
-        both = np.isfinite(points[..., 0]) & np.isfinite(self.image[..., 0])
+        both = np.isfinite(points[..., 0]) & np.isfinite(image[..., 0])
         detection, joint = np.nonzero(both & counted[:, None])
-        return Seen(points[detection, joint], self.image[detection, joint], detection, joint)
+        block = self.frame[detection] * blocks // len(self.bodies)
+        return Seen(points[detection, joint], image[detection, joint], block, joint)
 
 
 def sightings_of(rays: Floats, bodies: Floats) -> Sightings:
@@ -268,15 +270,16 @@ def match(seen: Sightings, projection: Floats, tolerance: float) -> tuple[Ints, 
     return np.where(cost < FITS, found.body[0], -1), float(cost.mean())
 
 
-def exchanged_share(seen: Sightings, exchanged: Sightings, resection: Resection) -> float:
+def exchanged_share(
+    seen: Sightings, exchanged: Sightings, projection: Floats, tolerance: float
+) -> float:
     """Return the share of the detections that fit with exchanged sides alone.
 
     exchanged: the same detections with their sides exchanged. Those that fit with neither, or about
     as well with both, are not counted.
     """
     given, other = (
-        compare_projections(resection.projection[None], each, resection.tolerance).cost[0]
-        for each in (seen, exchanged)
+        compare_projections(projection[None], each, tolerance).cost[0] for each in (seen, exchanged)
     )
     as_given = ((given < FITS) & (given < _CLEARLY * other)).sum()
     as_other = ((other < FITS) & (other < _CLEARLY * given)).sum()
@@ -343,7 +346,7 @@ def _refine(scene: Sightings, projection: Floats, config: ResectionConfig) -> Re
         individual, _ = match(scene, projection, config.tolerance)
         if (individual < 0).all():
             break
-        known = scene.known_points(individual, individual >= 0)
+        known = scene.known_points(individual, individual >= 0, scene.image)
         seen = known.points @ projection[:, :3].T + projection[:, 3]
         depth = np.where(seen[:, 2] > 1e-9, seen[:, 2], np.nan)
         error = seen[:, :2] / depth[:, None] - known.pixels

@@ -13,7 +13,13 @@ import numpy as np
 from mocap_calib.config import DECISIVE_NATS, Config, DiagnosisConfig
 from mocap_calib.faults.fits import FittedHypothesis, add_rig_uncertainty, fit_hypotheses
 from mocap_calib.faults.hypotheses import evidence_of_unknowns, mend_of
-from mocap_calib.faults.leave_one_out import bent_points, leave_out, pose_beside, screen_cameras
+from mocap_calib.faults.leave_one_out import (
+    Held,
+    bent_points,
+    leave_out,
+    pose_beside,
+    screen_cameras,
+)
 from mocap_calib.faults.words import describe
 from mocap_calib.recording.corrections import Exchanged
 from mocap_calib.results import CalibrationResult, Fault, GroupResult
@@ -34,16 +40,17 @@ class Alternative:
 
 
 def find_faulty_cameras(
-    observed: Observed, result: CalibrationResult, config: Config
+    observed: Observed, result: CalibrationResult, held: list[Held], config: Config
 ) -> list[Alternative]:
     """Return alternatives: one faulty camera each, or several at once.
 
     Of two cameras neither can be named. Cameras that are wrong in the same way fit each other, and
     to correct one alone may be worse: those without unknowns are an alternative together.
+    held: the views of the largest group.
     """
     if result.groups[0].uncertainty.wrong_focal.all():  # no camera is left to compare with
         return []
-    views = screen_cameras(observed, result, config)[: config.diagnosis.candidates]
+    views = screen_cameras(observed, result, held, config)[: config.diagnosis.candidates]
     found = [_compare(observed, view, result, config) for view in views]
     alternatives = [each for each in found if each is not None]
     exact = [each for each in alternatives if each.faults[0].word in _EXACT]

@@ -91,7 +91,7 @@ def fit_hypotheses(
     if len(source) < diagnosis.least_keypoints:
         return [], 0.0
     starts = {sides: resections.get(sides, best) for sides in (False, True)}
-    share = exchanged_share(sightings[False], sightings[True], best)
+    share = exchanged_share(sightings[False], sightings[True], best.projection, best.tolerance)
     return _fit_all(tried, seen, source, (starts, best, in_rig), diagnosis), share
 
 

@@ -8,46 +8,81 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import Seen, Unknown, fit_camera, pose_of
+from mocap_calib.adjust.camera_fit import Unknown, fit_camera, pose_of
 from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.refine import adjust_until_stable
+from mocap_calib.adjust.resection import Sightings, exchanged_share, match, sightings_of
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.hypotheses import log_bayes_factor
-from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.geometry.rotation import changed_rig, nearest_rotation
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.results import CalibrationResult, Matches, RigCovariance
-from mocap_calib.rig import (
-    Tracks,
-    gather_tracks,
-    labelled_frames,
-    view_noise,
-)
+from mocap_calib.results import CalibrationResult, GroupResult, RigCovariance
+from mocap_calib.rig import gather_tracks, labelled_frames
 from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import average, camera_groups
-from mocap_calib.rig.triangulate import PlacedCameras, place_bodies, triangulate_rays
+from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.rig.view_graph import Observed, leave_out_underconstrained, takes_all_pairs
-from mocap_calib.types import POSE, Bools, CameraRig, Floats, Ints, Sample, silent
+from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints, Sample, silent
 
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
 _LOW_SCORE = 0.8  # of a camera's pairs, as a share of that of the other pairs
-_LEAST_PAIRED = 4  # keypoints of a detection that show whether its sides are exchanged
-_CLEARLY = 0.5  # of the error as given
-_FRAMES, _KEYPOINTS = 80, 1500  # that a camera is held against
+_DETECTIONS = 120  # of one camera, that are held against the others
+_TOLERANCE = 20.0  # standard deviations: of errors that wrong intrinsics make
 
 
 # --- which cameras
 
 
-def screen_cameras(observed: Observed, result: CalibrationResult, config: Config) -> list[int]:
+@dataclass(frozen=True)
+class Held:
+    """A view of a group held against the points that the others place in the rig of all.
+
+    pose: `[3, 4]` in the rig. seen: its detections; pixels: `[detection, joint, 2]` of these.
+    noise: focal lengths, of the view.
+    """
+
+    camera: Camera
+    pose: Floats
+    seen: Sightings
+    pixels: Floats
+    noise: float
+
+
+def hold_each(observed: Observed, group: GroupResult, config: Config) -> list[Held]:
+    """Return each view of a group, none of two: neither can be named, as both have the errors."""
+    if len(group.rig) <= 2:
+        return []
+    observed, placed = PlacedCameras.of_group(observed, group, config)
+    frames = choose_frames(observed.sample, _DETECTIONS, config)
+    tracks = gather_tracks(observed.sample, placed.matches, frames)
+
+    def hold(view: int) -> Held:
+        """Return one view."""
+        bodies = place_bodies(observed.sample, placed, frames, config, seen=tracks, without=view)
+        seen = sightings_of(observed.sample.rays[view][frames], bodies)
+        return Held(
+            camera=group.rig.cameras[view],
+            pose=pose_of(group.rig, view),
+            seen=seen,
+            pixels=observed.sample.positions[view][frames[seen.frame], seen.instance],
+            noise=float(placed.noise[view]),
+        )
+
+    return list(map_in_threads(hold, range(len(group.rig))))
+
+
+def screen_cameras(
+    observed: Observed, result: CalibrationResult, held: list[Held], config: Config
+) -> list[int]:
     """Return the views that deserve a closer look, those with the worst pairs first.
 
     A camera does that is not in the largest group, whose pairs have low scores, whose sides are
     exchanged often, whose image is rotated beside the others', or that asks for other intrinsics.
     Where half of the cameras are outside the largest group, either half may be wrong.
-    Of two cameras neither can be named.
+    Of two cameras neither can be named. held: the views of the largest group.
     """
     names, group = observed.recording.names, result.groups[0]
     if len(names) < 3:
@@ -59,8 +94,8 @@ def screen_cameras(observed: Observed, result: CalibrationResult, config: Config
     odd |= scores < _LOW_SCORE
     if len(members) >= 3:
         odd[members] |= nearest_quarter(rolls(group.rig, config.diagnosis), config.diagnosis) != 0
-        sample = observed.sample.select(views=members)
-        odd[members] |= _differ_from_others(sample, group.rig, group.adjusted.matches, config)
+        keypoints = observed.sample.keypoints
+        odd[members] |= [differs(each, keypoints, config.diagnosis) for each in held]
     order = np.argsort(scores, kind="stable")
     return [int(view) for view in order if odd[view]]
 
@@ -112,80 +147,22 @@ def nearest_quarter(roll: Floats, config: DiagnosisConfig) -> Ints:
     return np.where(near, 90 * quarters % 360, 0).astype(np.int64)
 
 
-def _differ_from_others(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Bools:
-    """Return whether cameras `[view]` ask for other intrinsics, or exchanged sides.
-
-    Each is held against the points that the others place in the rig of all.
-    """
-    diagnosis = config.diagnosis
-    # a frame of a large rig shows more and takes longer: each camera is held against all others
-    large = max(1.0, len(rig) / config.view_graph.small_rig) ** 2
-    frames = evenly_spaced(labelled_frames(matches), max(round(_FRAMES / large), 20))
-    noise = view_noise(sample, rig, matches, config.triangulate)
-    seen = gather_tracks(sample, matches, frames)
-    keypoints = len(sample.keypoints)
-    odd = np.zeros(len(rig), dtype=bool)
-    for view in range(len(rig)):
-        others = np.where(_detections_of(seen, view, keypoints), seen.weight, 0.0)
-        others[view] = 0.0
-        points, _ = triangulate_rays(
-            rig, seen.rays, weight=others, noise=noise, config=config.triangulate
-        )
-        both = np.flatnonzero(np.isfinite(points[0]) & np.isfinite(seen.pixels[view, 0]))
-        if len(both) < diagnosis.least_keypoints:
-            continue
-        exchanged = _exchanged_share(rig, view, points, seen.pixels[view], sample.keypoints)
-        both = evenly_spaced(both, _KEYPOINTS)
-        known = Seen(
-            points=points[:, both].T,
-            pixels=seen.pixels[view][:, both].T,
-            block=both * diagnosis.time_blocks // points.shape[1],
-            keypoint=both % keypoints,
-        )
-        by_intrinsics = _evidence_of_intrinsics(rig, view, known, diagnosis) > 0
-        odd[view] = by_intrinsics or exchanged > diagnosis.exchanged_share / 2
-    return odd
-
-
-def _evidence_of_intrinsics(
-    rig: CameraRig, view: int, known: Seen, config: DiagnosisConfig
-) -> float:
-    """Return the log evidence (nats) for other intrinsics than sound ones, all at once."""
-    camera = rig.cameras[view]
-    rough = config.focal_noise * camera.focal
-    fit = fit_camera(camera, known, pose_of(rig, view), config.fit, noise=rough, free=_FREE)
+def differs(held: Held, keypoints: tuple[str, ...], config: DiagnosisConfig) -> bool:
+    """Return whether a camera asks for other intrinsics, or for exchanged sides."""
+    seen, tolerance = held.seen, _TOLERANCE * held.noise
+    exchanged = replace(seen, image=seen.image[:, exchanged_sides(keypoints)])
+    share = exchanged_share(seen, exchanged, held.pose, tolerance)
+    body, _ = match(seen, held.pose, tolerance)
+    known = seen.known_points(body, body >= 0, held.pixels, blocks=config.time_blocks)
+    if len(known.points) < config.least_keypoints:
+        return False
+    camera, rough = held.camera, config.focal_noise * held.camera.focal
+    fit = fit_camera(camera, known, held.pose, config.fit, noise=rough, free=_FREE)
     size = np.array(camera.size) if all(camera.size) else np.full(2, 2 * camera.focal)
     sound = np.array([config.sound_focal, *(config.sound_centre * size)])
     faulty = np.array([config.faulty_focal, *(config.faulty_centre * size)])
-    return log_bayes_factor(fit.unknowns, fit.covariance, sound, faulty)
-
-
-def _detections_of(seen: Tracks, view: int, keypoints: int) -> Bools:
-    """Return `[N]` whether a view sees anything of the body that each point is of."""
-    bodies = np.isfinite(seen.pixels[view, 0]).reshape(-1, keypoints).any(1)
-    return np.repeat(bodies, keypoints)
-
-
-def _exchanged_share(
-    rig: CameraRig, view: int, points: Floats, pixels: Floats, keypoints: tuple[str, ...]
-) -> float:
-    """Return the share of a camera's detections that fit far better with sides exchanged.
-
-    points: `[3, N]`; pixels: `[2, N]`, N = detections x keypoints.
-    """
-    order = exchanged_sides(keypoints)
-    paired = order != np.arange(len(order))
-    if not paired.any():
-        return 0.0
-    in_camera = points.T @ rig.rotation[view].T + rig.translation[view]
-    image = pixels_from_points(rig.cameras[view], in_camera).reshape(-1, len(order), 2)
-    given = pixels.T.reshape(-1, len(order), 2)
-    errors = [np.linalg.norm(image - seen, axis=-1)[:, paired] for seen in (given, given[:, order])]
-    both = np.isfinite(errors[0]) & np.isfinite(errors[1])
-    count = both.sum(1)
-    mean = [np.where(both, error, 0.0).sum(1) / np.maximum(count, 1) for error in errors]
-    enough = count >= _LEAST_PAIRED
-    return float((mean[1] < _CLEARLY * mean[0])[enough].mean()) if enough.any() else 0.0
+    by_intrinsics = log_bayes_factor(fit.unknowns, fit.covariance, sound, faulty) > 0
+    return by_intrinsics or share > config.exchanged_share / 2
 
 
 # --- the rig without a camera

@@ -13,6 +13,7 @@ import numpy as np
 from mocap_calib.config import DECISIVE_NATS, EPOCH_MARK, Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.compare import Alternative, find_exchanged_cameras, find_faulty_cameras
+from mocap_calib.faults.leave_one_out import hold_each
 from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.faults.words import clock_faults, describe
 from mocap_calib.recording.corrections import Sides, apply_mends
@@ -75,11 +76,14 @@ def find_alternatives(
     observed: what was known before the rigs were built. result: what was found with it.
     """
     exchanged = [each for group in result.groups for each in find_exchanged_cameras(group)]
-    faulty = find_faulty_cameras(observed, result, config)
+    held = [hold_each(observed, group, config) for group in result.groups]
+    faulty = find_faulty_cameras(observed, result, held[0], config)
     if exchanged:  # each of the two asks for the focal length of the other
         faulty = [each for each in faulty if each.faults[0].word != "focal"]
     moved = [
-        each for group in result.groups for each in find_moved_cameras(observed, group, config)
+        each
+        for group, views in zip(result.groups, held, strict=True)
+        for each in find_moved_cameras(observed, group, views, config)
     ]
     return sorted([*exchanged, *faulty, *moved], key=lambda each: -each.evidence)
 

@@ -16,7 +16,6 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import pose_of
 from mocap_calib.adjust.resection import (
     FITS,
     Sightings,
@@ -28,17 +27,16 @@ from mocap_calib.adjust.resection import (
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import DECISIVE_NATS, VERDICT_LIMITS_DEG, Config, MovedConfig
 from mocap_calib.faults.compare import Alternative
-from mocap_calib.faults.leave_one_out import OtherCameras, leave_out, pose_beside
+from mocap_calib.faults.leave_one_out import Held, OtherCameras, leave_out, pose_beside
 from mocap_calib.geometry.rotation import angle_between, rig_size
 from mocap_calib.recording.corrections import Moved, own_name
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.results import Fault, GroupResult, Matches
-from mocap_calib.rig import MEDIAN_DISTANCE, gather_tracks, per_frame_labels
+from mocap_calib.rig import MEDIAN_DISTANCE, per_frame_labels
 from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.rig.view_graph import Observed
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
-_GLANCED_DETECTIONS = 120  # of one camera, for a first look
 _CANDIDATES = 3  # cameras that are held against their leave-one-out rig
 _NEAR_DETECTIONS = 5  # on either side, among which the frame of a change is looked for
 
@@ -67,46 +65,34 @@ class Epochs:
         return cost[epoch, np.arange(len(epoch))]
 
 
-def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -> list[Alternative]:
+def find_moved_cameras(
+    observed: Observed, group: GroupResult, held: list[Held], config: Config
+) -> list[Alternative]:
     """Return alternatives, of one camera each: a fault for each time that it was moved.
 
-    Of two cameras neither can be named, as both have the errors.
+    held: the views of the group.
     """
-    if len(group.rig) <= 2:
-        return []
-    observed, placed = PlacedCameras.of_group(observed, group, config)
+    observed = observed.select(np.array([*map(observed.recording.names.index, group.rig.names)]))
     found = []
-    for view in _screen(observed, placed, config):
-        changed = _find_changes(observed, placed.rig, view, config)
+    for view in _screen(held, config):
+        changed = _find_changes(observed, group.rig, view, config)
         faults = _describe_changes(observed, group, changed, config) if changed else ()
         if changed and faults:
             found.append(Alternative(faults, changed.evidence))
     return found
 
 
-def _screen(observed: Observed, placed: PlacedCameras, config: Config) -> list[int]:
+def _screen(held: list[Held], config: Config) -> list[int]:
     """Return the views whose errors change at some moment, the most suspicious first."""
-    sample = observed.sample
-    frames = choose_frames(sample, _GLANCED_DETECTIONS, config)
-    tracks = gather_tracks(sample, placed.matches, frames)
-    noise = least_noise(observed, config)
 
-    def glance(view: int) -> float:
-        """Return the evidence of a change of a view."""
-        bodies = place_bodies(sample, placed, frames, config, seen=tracks, without=view)
-        seen = sightings_of(sample.rays[view][frames], bodies)
-        found = segment(pose_of(placed.rig, view), seen, config.moved, noise[view])
-        return choose_epochs(found, seen, config.moved, least=0.0)[1]
+    def evidence(one: Held) -> float:
+        """Return that of a change of a view."""
+        found = segment(one.pose, one.seen, config.moved, one.noise)
+        return choose_epochs(found, one.seen, config.moved, least=0.0)[1]
 
-    scores = np.array(list(map_in_threads(glance, range(len(placed.rig)))))
+    scores = np.array([*map_in_threads(evidence, held)])
     order = np.argsort(-scores, kind="stable")[:_CANDIDATES]
     return [int(view) for view in order if scores[view] > 0]
-
-
-def least_noise(observed: Observed, config: Config) -> Floats:
-    """Return the error `[view]` in focal lengths below which no detector is."""
-    focal = np.array([camera.focal for camera in observed.sample.cameras])
-    return config.triangulate.least_noise_px / focal
 
 
 @dataclass(frozen=True)
@@ -139,7 +125,8 @@ def _find_changes(observed: Observed, rig: CameraRig, view: int, config: Config)
     bodies = place_bodies(others.sample, others.placed, frames, config)
     seen = sightings_of(sample.rays[view][frames], bodies)
     pose = pose_beside(others.rig, rig, names[view])
-    epochs, evidence = find_epochs(pose, seen, config.moved, least_noise(observed, config)[view])
+    noise = config.triangulate.least_noise_px / sample.cameras[view].focal
+    epochs, evidence = find_epochs(pose, seen, config.moved, noise)
     if not evidence:
         return None
     members = np.array([names.index(name) for name in others.rig.names])

@@ -123,7 +123,9 @@ def test_the_share_of_exchanged_sides_is_counted():
     image[::4] = image[::4][:, :, order]
     given, exchanged = sighting(points, image), sighting(points, image[:, :, order])
     found = resect(given, ResectionConfig(), seed=0)
-    assert exchanged_share(given, exchanged, found) == pytest.approx(0.25, abs=0.03)
+    assert exchanged_share(given, exchanged, found.projection, found.tolerance) == pytest.approx(
+        0.25, abs=0.03
+    )
 
 
 def seen_of(points, pixels):

@@ -9,7 +9,6 @@ from scenes import calibrate_all, recording, rotation_errors_deg, scene
 
 from mocap_calib.adjust.camera_fit import CameraFit
 from mocap_calib.config import DECISIVE_NATS, Config, DiagnosisConfig, MendConfig
-from mocap_calib.faults import leave_one_out
 from mocap_calib.faults.compare import find_exchanged_cameras
 from mocap_calib.faults.hypotheses import (
     evidence_of_unknowns,
@@ -20,7 +19,6 @@ from mocap_calib.faults.hypotheses import (
 )
 from mocap_calib.faults.leave_one_out import nearest_quarter, rolls
 from mocap_calib.faults.words import describe
-from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.recording.corrections import Cropped, Exchanged, Resized, Sides
 from mocap_calib.types import Recording
 
@@ -111,21 +109,6 @@ def test_a_camera_on_its_side_is_seen_beside_upright_ones():
     assert found[ODD] == pytest.approx(90, abs=10)
     assert nearest_quarter(found, DiagnosisConfig()).tolist() == [0, 90, 0, 0]
     assert not nearest_quarter(rolls(rig, DiagnosisConfig()), DiagnosisConfig()).any()
-
-
-def test_sides_are_exchanged_where_that_fits_far_better():
-    """5 of 20 whole detections; ten that show one pair of joints alone are not asked."""
-    rig, rng = scene(**CHANGES).rig, np.random.default_rng(0)
-    keypoints = ("nose", "left_eye", "right_eye", "left_hip", "right_hip")
-    points = rng.uniform((-1, -1, 0), (1, 1, 2), size=(30, 5, 3))
-    seen = points @ rig.rotation[ODD].T + rig.translation[ODD]
-    pixels = pixels_from_points(rig.cameras[ODD], seen.reshape(-1, 3)).reshape(30, 5, 2)
-    turned = [*range(5), *range(20, 30)]
-    pixels[turned] = pixels[turned][:, [0, 2, 1, 4, 3]]
-    pixels[20:, 3:] = np.nan
-    flat = points.reshape(-1, 3).T, pixels.reshape(-1, 2).T
-    assert leave_one_out._exchanged_share(rig, ODD, *flat, keypoints) == pytest.approx(5 / 20)
-    assert leave_one_out._exchanged_share(rig, ODD, *flat, ("a", "b", "c", "d", "e")) == 0.0
 
 
 def test_images_are_resized_by_plain_factors():
