@@ -1,4 +1,4 @@
-"""Fit poses to detections, motion and bone lengths; covariance of the fitted points.
+"""Bodies over time, the fit of their poses to detections, motion and bones, and its covariance.
 
 The energy of the points X `[keypoint, frame, 3]` of a track is the sum of the squared angles
 between points and rays in standard deviations, of the squared accelerations beyond those that the
@@ -12,14 +12,50 @@ first order: a bone adds the information about its other end without it.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from mocap_calib.config import PosesConfig
 from mocap_calib.kernels import pose_bands, pose_energy, pose_step
 from mocap_calib.kernels.pose_energy import LANES
-from mocap_calib.poses.track import ROUNDS, Body, Detections
 from mocap_calib.types import Floats, Ints
 
 AROUND = 2  # frames of padding at each end: as far as accelerations reach
+ROUNDS = 5  # of reweighting: lengths of bones, and the median of accelerations
+_MEDIAN_SQUARE = chdtri(1, 0.5)  # of normal errors of variance 1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Detections:
+    """Rays of one track.
+
+    rays: `[3, view, keypoint, frame]` unit vectors in the world's axes; zero = missing.
+    precision: `[view, keypoint, frame]` inverse variance of the ray's angle in each of the two
+        directions across it, in 1 / radians squared; 0 = missing.
+    centres: `[view, 3]` of the cameras.
+    """
+
+    rays: Floats
+    precision: Floats
+    centres: Floats
+
+
+@dataclass(frozen=True)
+class Body:
+    """What is expected of the body of a track.
+
+    edges: `[edge, 2]` keypoints whose distance is constant. lengths: `[edge]` these distances, NaN
+        where they are not known. varies: `[edge]` by how much (standard deviation) they vary all
+        the same. size: of the body: strengths are in it.
+    steps: `[3, frame]` what the positions in a frame, the next one and the one after that are
+        multiplied by for the acceleration there, zero where these frames do not follow each other.
+        Times are in the usual step from one frame to the next.
+    """
+
+    edges: Ints
+    lengths: Floats
+    varies: Floats
+    size: float
+    steps: Floats
 
 
 @dataclass(frozen=True)
@@ -120,6 +156,99 @@ def squared_errors(points: Floats, seen: Detections) -> Floats:
     depth = np.maximum(along, 1e-3 * np.abs(offset).sum(0))
     offset -= along * seen.rays
     return np.einsum("iv...,iv...->v...", offset, offset) * seen.precision / depth**2
+
+
+# What is expected of a body
+
+
+def acceleration_steps(frames: Floats, longest_gap: float) -> Floats:
+    """Return `Body.steps` `[3, frame]` of one stretch.
+
+    frames: numbers, in the usual step from one to the next. Second divided differences, doubled.
+    longest_gap: steps between frames that still follow each other.
+    """
+    steps = np.zeros((3, len(frames)))
+    if len(frames) < 3:
+        return steps
+    gap = np.diff(frames)
+    before, after = gap[:-1], gap[1:]
+    follow = np.maximum(before, after) <= longest_gap
+    first, last = 2 / (before * (before + after)), 2 / (after * (before + after))
+    steps[:, :-2] = np.where(follow, np.stack([first, -first - last, last]), 0.0)
+    return steps
+
+
+def accelerations(points: Floats, body: Body) -> Floats:
+    """Return the accelerations `[keypoint, frame - 2, 3]` by the first of their frames.
+
+    0 where frames do not follow each other. points: `[keypoint, frame, 3]`.
+    """
+    ends = max(points.shape[1] - 2, 0)
+    steps = body.steps[:, :ends, None]
+    parts = (step * points[:, k : k + ends] for k, step in enumerate(steps))
+    return np.asarray(sum(parts))
+
+
+def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Floats]:
+    """Return the length `[edge]` of each bone and how much it varies; NaN where it was never seen.
+
+    points: `[frame, keypoint, 3]` triangulated; sigma: `[frame, keypoint]` of these, of all axes
+    together. Noise across a bone makes it longer: that is taken off. A bone's length varies beyond
+    its noise (standard deviation): detectors see joints elsewhere as a body turns, and spines bend.
+    Half of the values are within the median of a normal error; each counts by its whole variance,
+    robustly.
+    """
+    a, b = edges.T
+    length = np.linalg.norm(points[:, a] - points[:, b], axis=-1)
+    noise = (sigma[:, a] ** 2 + sigma[:, b] ** 2) / 3
+    known = np.isfinite(length) & np.isfinite(noise) & (length > 0)
+    seen = np.flatnonzero(known.any(0))
+    known, length, noise = (each[:, seen].T for each in (known, length, noise))
+    length, noise = (np.where(known, each, np.nan) for each in (length, noise))
+    length -= np.minimum(noise / length, length / 2)
+    usual = np.nanmedian(noise, axis=1)[:, None]
+    middle = np.nanmedian(np.where(noise <= usual, length, np.nan), axis=1)
+    varies = np.zeros(len(seen))
+    for _ in range(ROUNDS):
+        square = (length - middle[:, None]) ** 2
+        varies = np.maximum(np.nanmedian(square / _MEDIAN_SQUARE - noise, axis=1), 0.0)
+        weight = np.where(known, 1 / (noise + varies[:, None] + square / 4), 0.0)
+        middle = (weight * np.where(known, length, 0.0)).sum(1) / weight.sum(1)
+    found = np.full((2, len(edges)), np.nan)
+    found[:, seen] = middle, np.sqrt(varies)
+    return found[0], found[1]
+
+
+def with_second_neighbours(bones: Ints, keypoints: int) -> Ints:
+    """Return bones `[bone, 2]` and then the pairs that two bones join, all of them `[edge, 2]`.
+
+    Hips, shoulders and heads hardly change their shape: the ends of two bones of theirs are as far
+    from each other as those of one. Those of a leg are not; how much they vary is measured.
+    """
+    joined = np.zeros((keypoints, keypoints), dtype=np.int64)
+    a, b = bones.T
+    joined[a, b] = joined[b, a] = 1
+    second = np.triu((joined @ joined > 0) & (joined == 0), k=1)
+    return np.concatenate([bones, np.argwhere(second)])
+
+
+def fill_gaps(points: Floats, times: Floats) -> Floats:
+    """Return points `[frame, keypoint, 3]` without gaps.
+
+    The joint that is known most often is interpolated in time, and the others by their offsets from
+    it. times: `[frame]`.
+    """
+    known = np.isfinite(points[..., 0])
+    middle = int(known.sum(0).argmax())
+    filled = np.zeros(points.shape)
+    for joint in (middle, *range(points.shape[1])):
+        there, base = known[:, joint], filled[:, middle]
+        between = np.zeros(base.shape)
+        if there.any():
+            offset = points[there, joint] - base[there]
+            between = np.transpose([np.interp(times, times[there], axis) for axis in offset.T])
+        filled[:, joint] = base + between
+    return filled
 
 
 # The layout of the kernels: tiles of `LANES` frames, and groups of `LANES` joints side by side

@@ -1,8 +1,8 @@
 """From triangulated points to best estimates of the poses, an individual and a block at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import Any
 
@@ -12,28 +12,31 @@ from scipy.special import chdtri
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
+from mocap_calib.geometry.lens import rays_in_world
 from mocap_calib.geometry.rotation import body_size
 from mocap_calib.lift.lifter import load_vocabulary
-from mocap_calib.poses.fit import Strengths, covariances, fit, squared_errors
-from mocap_calib.poses.track import (
+from mocap_calib.poses.fit import (
     Body,
     Detections,
+    Strengths,
     acceleration_steps,
     accelerations,
-    arrays_to_fill,
-    blocks,
     bone_lengths,
-    detections_of,
+    covariances,
     fill_gaps,
-    point_sources,
-    with_gaps,
+    fit,
+    squared_errors,
     with_second_neighbours,
 )
 from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.results import GroupResult, Matches, Poses3D, Smoothing
-from mocap_calib.rig import gather_tracks, view_noise
+from mocap_calib.results import POINT_SOURCES, GroupResult, Matches, Poses3D, Smoothing
+from mocap_calib.rig import Tracks, gather_tracks, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Progress, Recording, silent
 
+_TRIANGULATED = POINT_SOURCES.index("triangulated")
+_ONE_VIEW = POINT_SOURCES.index("one view")
+_INTERPOLATED = POINT_SOURCES.index("interpolated")
+_BLOCK = 1000  # frames that are fitted at once, besides margins of four longest gaps
 # of normal vectors in space, in standard deviations of a coordinate
 _MEDIAN_LENGTH = np.sqrt(chdtri(3, 0.5))
 
@@ -149,7 +152,7 @@ def smooth_poses(
     if not scene.individuals:
         return poses, Smoothing()
     strengths, held_out, without = _choose(scene)
-    arrays = arrays_to_fill(poses, [who.index for who in scene.individuals])
+    arrays = _arrays_to_fill(poses, [who.index for who in scene.individuals])
     total = sum(len(who.frames) for who in scene.individuals)
     pieces = [(who, *block) for who in scene.individuals for block in blocks(who.frames, config)]
 
@@ -237,6 +240,80 @@ def _estimate(
         "source": source.T,
     }
     return found, outliers
+
+
+def _arrays_to_fill(poses: Poses3D, fitted: list[int]) -> dict[str, Any]:
+    """Return positions, covariance and source: of those who are fitted (indices), nothing yet.
+
+    Of the others they are as they were triangulated.
+    """
+    known = {"positions": poses.raw, "covariance": poses.covariance, "source": poses.source}
+
+    def rest(name: str, block: slice) -> Any:
+        """Return an array in a block of frames without those who are fitted."""
+        found = known[name][block].copy()
+        found[:, fitted] = 0 if name == "source" else np.nan
+        return found
+
+    return {name: mapped.in_blocks(partial(rest, name), len(poses.frames)) for name in known}
+
+
+def detections_of(rig: CameraRig, seen: Tracks, noise: Floats, *, keypoints: int) -> Detections:
+    """Return the detections of an individual.
+
+    All detections of a view count alike: weights by confidence make poses of some detectors worse.
+
+    seen: of N = frames x keypoints. noise: `[view]` in radians.
+    """
+    views = len(rig)
+    rays = rays_in_world(rig, seen.rays).reshape(views, 3, -1, keypoints).transpose(1, 0, 3, 2)
+    known = np.isfinite(seen.rays[:, 0]) & (seen.weight > 0)
+    precision = (known / noise[:, None] ** 2).reshape(views, -1, keypoints).swapaxes(1, 2)
+    return Detections(np.ascontiguousarray(rays), np.ascontiguousarray(precision), rig.centres)
+
+
+# Gaps that are bridged, and blocks of frames
+
+
+def time_around(there: Bools, times: Floats) -> Floats:
+    """Return times `[2, keypoint, frame]`: since the last that is there, and to the next."""
+    last = np.maximum.accumulate(np.where(there, times, -np.inf), axis=1)
+    following = np.minimum.accumulate(np.where(there, times, np.inf)[:, ::-1], axis=1)[:, ::-1]
+    return np.stack([times - last, following - times])
+
+
+def with_gaps(there: Ints, times: Floats, longest: int) -> Ints:
+    """Return indices of frames, with those of gaps between them that are no longer than this."""
+    frames = np.arange(there[0], there[-1] + 1)
+    last = there[np.searchsorted(there, frames, side="right") - 1]
+    following = there[np.searchsorted(there, frames)]
+    return frames[times[following] - times[last] <= longest + 1]
+
+
+def point_sources(seen: Detections, met: Bools, times: Floats, longest: int) -> Ints:
+    """Return what points are made of, `[keypoint, frame]`, 0 = missing.
+
+    met: `[keypoint, frame]` whether there is a point that was started from. longest: gap that is
+    bridged, and distance from a triangulated point up to which one view will do: along its ray a
+    point may be at either of two places. Below 0 neither is.
+    """
+    views = (seen.precision > 0).sum(0)
+    firm = met & (views >= 2)
+    gap = time_around(views > 0, times)
+    source = np.where(gap.sum(0) <= longest + 1, _INTERPOLATED, 0)
+    near = time_around(firm, times).min(0) <= longest
+    source = np.where(views > 0, np.where(near, _ONE_VIEW, 0), source)
+    return np.where(firm, _TRIANGULATED, source)
+
+
+def blocks(frames: Ints, config: PosesConfig) -> Iterator[tuple[slice, Ints]]:
+    """Yield frames to fit at once, and which of them are new there: the others are margins."""
+    margin = 4 * config.longest_gap
+    for start in range(0, len(frames), _BLOCK):
+        first = max(start - margin, 0)
+        last = start + _BLOCK
+        own = frames[first : last + margin]
+        yield slice(start - first, min(last, len(frames)) - first), own
 
 
 # How strongly to smooth

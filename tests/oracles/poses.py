@@ -3,8 +3,7 @@
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.fit import Strengths
-from mocap_calib.poses.track import ROUNDS, Body, Detections, accelerations
+from mocap_calib.poses.fit import ROUNDS, Body, Detections, Strengths, accelerations
 
 ENTRIES = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # xx xy xz yy yz zz
 

@@ -8,8 +8,7 @@ from oracles import poses as oracle
 
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses import fit
-from mocap_calib.poses.fit import Strengths
-from mocap_calib.poses.track import Body, Detections, acceleration_steps, accelerations
+from mocap_calib.poses.fit import Body, Detections, Strengths, acceleration_steps, accelerations
 
 CONFIG = PosesConfig()
 STRENGTHS = [

@@ -10,16 +10,17 @@ from scenes import recording, scene, truth
 from mocap_calib import mapped
 from mocap_calib.config import Config, PosesConfig
 from mocap_calib.geometry.rotation import Similarity, matrix_from_vector
-from mocap_calib.poses import track
-from mocap_calib.poses.fit import Strengths, fit
-from mocap_calib.poses.stage import smooth_poses
-from mocap_calib.poses.track import (
+from mocap_calib.poses import stage
+from mocap_calib.poses.fit import (
     Body,
     Detections,
+    Strengths,
     acceleration_steps,
     bone_lengths,
+    fit,
     with_second_neighbours,
 )
+from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.results import POINT_SOURCES, Matches, Poses3D, Smoothing
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Recording, World
@@ -214,7 +215,7 @@ def test_ends_of_two_bones_in_turn_are_edges_too():
 def test_blocks_of_time_join_without_a_seam(monkeypatch):
     """Measured: 1e-5 m between blocks of 25 frames and one block."""
     whole, _ = smoothed(**EASY)
-    monkeypatch.setattr(track, "_BLOCK", 25)
+    monkeypatch.setattr(stage, "_BLOCK", 25)
     parts, _ = smooth(recording(**EASY), **EASY)
     assert np.nanmax(np.abs(parts.positions - whole.positions)) < 2e-3
     assert (parts.source == whole.source).mean() > 0.999
