@@ -1,5 +1,10 @@
 """The verdict on a rig: how far its cameras may be off, and why.
 
+Reprojection errors are small also where nothing is determined: where a subject is small in the
+image and stands still, all frames share the errors of its joints, and the rig bends to fit them.
+The covariance of the rig knows of that. It does not know of wrong intrinsics, to which the rig
+bends too: by how much it would bend back if focal lengths were free tells what they do.
+
 The expected error of a camera, in degrees, is the root of the sum of the squares of named causes:
 its covariance, what is not known of given intrinsics, each check of the residuals, and each thing
 that the recording leaves open. docs/how-good.md has the rule in words.
@@ -10,11 +15,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib.adjust.covariance import rig_covariance
+from mocap_calib.adjust.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
+from mocap_calib.adjust.refine import (
+    adjust_once,
+    find_outlier_cameras,
+    find_weak_perspective,
+    measure_fit,
+)
 from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config, UncertaintyConfig
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.lens import change_intrinsics
+from mocap_calib.geometry.rotation import rig_change, rig_size
 from mocap_calib.pairs.solve import in_recording
 from mocap_calib.recording.corrections import Cropped
+from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import (
     Adjusted,
     Averaged,
@@ -25,15 +42,25 @@ from mocap_calib.results import (
     GroupResult,
     LiftedPoses,
     Matches,
+    RigCovariance,
     TimeOffsets,
+    Uncertainty,
     Verdict,
 )
 from mocap_calib.rig import labelled_frames
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.rig.view_graph import Observed
-from mocap_calib.types import CameraRig, EstimatedCamera, Progress, Sample, silent
+from mocap_calib.types import (
+    POSE,
+    Bools,
+    CameraRig,
+    EstimatedCamera,
+    Floats,
+    Progress,
+    Sample,
+    silent,
+)
 from mocap_calib.verdict.checks import OPEN_DEG, check_rig
-from mocap_calib.verdict.uncertainty import assess_uncertainty
 from mocap_calib.wording import count
 
 _SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
@@ -67,9 +94,7 @@ def assess(
         *_covariance(group, config),
         *_principal_points(group, faults, config.uncertainty),
         *(check for check in checks if check.error_deg > 0),
-        *_left_open(group),
-        *_uncorrected(group, faults),
-        *_other_clocks(clocks),
+        *_left_open(group, faults, clocks),
     ]
     causes.sort(key=lambda cause: -cause.error_deg)
     return Verdict(expected_error(group.rig.names, causes), tuple(causes), checks)
@@ -203,46 +228,28 @@ def _principal_points(
         yield Cause("principal point", camera.name, turn, f"{camera.name}: {meaning}", remedy)
 
 
-def _left_open(group: GroupResult) -> Iterator[Cause]:
-    """Yield what the recording does not determine."""
+def _left_open(
+    group: GroupResult, faults: Sequence[Fault], clocks: Clocks | None
+) -> Iterator[Cause]:
+    """Yield what may be wrong by any angle: what nothing determines, and what was not corrected."""
+    names, cameras = group.rig.names, group.rig.cameras
     if group.adjusted.depth_reversed_rig is not None:
-        yield Cause(
-            "depth",
-            "",
-            OPEN_DEG,
-            "a rig reversed in depth fits as well",
-            "move the cameras closer, or use shorter lenses",
-        )
-    cameras = group.rig.cameras
+        remedy = "move the cameras closer, or use shorter lenses"
+        yield Cause("depth", "", OPEN_DEG, "a rig reversed in depth fits as well", remedy)
     if len(cameras) == 2 and all(isinstance(each, EstimatedCamera) for each in cameras):
-        yield Cause(
-            "intrinsics",
-            "",
-            OPEN_DEG,
-            "the intrinsics of both cameras were estimated, and no third camera checks them",
-            "give their intrinsics, or add a camera",
-        )
-
-
-def _uncorrected(group: GroupResult, faults: Sequence[Fault]) -> Iterator[Cause]:
-    """Yield what harms the rig and was not corrected: faults of files, and outlier cameras."""
-    cameras = {name.partition(EPOCH_MARK)[0] for name in group.rig.names}
+        meaning = "the intrinsics of both cameras were estimated, and no third camera checks them"
+        remedy = "give their intrinsics, or add a camera"
+        yield Cause("intrinsics", "", OPEN_DEG, meaning, remedy)
+    own = {name.partition(EPOCH_MARK)[0] for name in names}
     for fault in faults:
-        if fault.camera in cameras and fault.mend is None and fault.word in _HARMFUL:
+        if fault.camera in own and fault.mend is None and fault.word in _HARMFUL:
             meaning = f"{fault.camera}: {fault.says}, which was not corrected"
             yield Cause(fault.word, fault.camera, OPEN_DEG, meaning, "correct its files")
-    for name, outlier in zip(group.rig.names, group.uncertainty.outlier_cameras, strict=True):
-        if outlier:
-            meaning = f"{name}: the other cameras contradict it, and no correction was found"
-            remedy = "check its keypoints, its clock and its intrinsics"
-            yield Cause("inconsistent", name, OPEN_DEG, meaning, remedy)
-
-
-def _other_clocks(clocks: Clocks | None) -> Iterator[Cause]:
-    """Yield the cameras whose clocks differ where the recording was not put on one clock."""
-    if clocks is None or clocks.changed:
-        return
-    for clock in clocks.cameras:
+    for name in np.array(names)[group.uncertainty.outlier_cameras].tolist():
+        meaning = f"{name}: the other cameras contradict it, and no correction was found"
+        remedy = "check its keypoints, its clock and its intrinsics"
+        yield Cause("inconsistent", name, OPEN_DEG, meaning, remedy)
+    for clock in () if clocks is None or clocks.changed else clocks.cameras:
         if clock.differs:
             meaning = f"{clock.camera}: it is on another clock, which was not corrected"
             yield Cause("clock", clock.camera, OPEN_DEG, meaning, "use --sync auto")
@@ -270,3 +277,136 @@ def _remedy(group: GroupResult, worst: int, config: Config) -> str:
     if group.uncertainty.weak_perspective[worst]:
         return "let the subject come closer: the camera is far away for the size of its bodies"
     return "let the subject walk about, nearer to it and in view of other cameras, for longer"
+
+
+# --- what keypoints leave uncertain
+
+
+@single_threaded_libraries()
+def assess_uncertainty(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> Uncertainty:
+    """Return how well the sample determines the rig, and which cameras stand out.
+
+    Few frames accuse no camera: standard deviations over time are too small then.
+    """
+    fit = measure_fit(sample, rig, matches, config)
+    covariance = rig_covariance(sample, rig, matches, config)
+    free = _free_focal(sample, rig, matches, config)
+    off = estimated_focal_changes(sample, rig, matches, config)
+    if free is not None:
+        off = np.concatenate([off, given_focal_change(rig, free, config.uncertainty)[None]])
+    change, sigma = np.full((2, len(rig.cameras)), np.nan)
+    # what was estimated is not found to be wrong
+    if free is not None and not any(isinstance(each, EstimatedCamera) for each in rig.cameras):
+        change, sigma = free.change, free.sigma
+    tells = len(labelled_frames(matches)) >= config.uncertainty.time_blocks
+    return Uncertainty(
+        covariance=covariance.with_changes(off),
+        intrinsics_turn=np.sqrt((off[..., :3] ** 2).sum((0, 2))),
+        outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & tells,
+        weak_perspective=find_weak_perspective(fit),
+        focal_change=change,
+        focal_sigma=sigma,
+        wrong_focal=find_wrong_focal(change, sigma, config) & tells,
+    )
+
+
+def _free_focal(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> FreeFocal | None:
+    """Return the rig with free focal lengths, None where nothing more can be said.
+
+    That is where each was estimated by itself, and where nothing goes with free ones.
+    """
+    groups = shared_intrinsics(rig.cameras, config.intrinsics)
+    estimated = any(isinstance(camera, EstimatedCamera) for camera in rig.cameras)
+    if estimated and len(np.unique(groups)) == len(rig.cameras):
+        return None
+    try:
+        return free_focal_lengths(sample, rig, matches, config)
+    except DegenerateError:
+        return None
+
+
+def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfig) -> Floats:
+    """Return by how much `[view, 6]` cameras may be off because of focal lengths held fixed.
+
+    What the rig changes by when they are free, less what right ones change by: chance, and what is
+    wrong with detections beside it. Of the mean square of the changes of focal length, in standard
+    deviations of both, that is 1. Efron and Morris 1973: "Stein's Estimation Rule and Its
+    Competitors", the positive-part rule.
+    """
+    usual = np.hypot(free.sigma, config.focal_systematic)
+    significance = float(np.mean((free.change / usual) ** 2))
+    beyond_usual = max(0.0, 1 - 1 / max(significance, 1e-12))
+    return np.sqrt(beyond_usual) * rig_change(rig, free.rig)
+
+
+def estimated_focal_changes(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> Floats:
+    """Return by how much `[change, view, 6]` cameras may be off because of estimated focal lengths.
+
+    What the rig changes by when focal lengths that were estimated together become longer by a
+    standard deviation and the rig is adjusted again; none where focal lengths were given.
+    """
+    sigma = np.array(
+        [
+            camera.focal_sigma / camera.focal if isinstance(camera, EstimatedCamera) else 0.0
+            for camera in rig.cameras
+        ]
+    )
+    kind = shared_intrinsics(rig.cameras, config.intrinsics)
+    # cameras whose focal lengths are one estimate have one sigma
+    _, group = np.unique(np.stack([kind, sigma.round(9)]), axis=1, return_inverse=True)
+    changes = []
+    for number in np.unique(group[sigma > 0]):
+        cameras = tuple(
+            change_intrinsics(camera, log_focal=change, k1=0.0)
+            for camera, change in zip(
+                rig.cameras, np.where(group == number, sigma, 0.0), strict=True
+            )
+        )
+        changed = replace(rig, cameras=cameras)
+        try:
+            found = adjust_once(with_cameras(sample, cameras), changed, matches, config)
+            changes.append(rig_change(rig, found))
+        except DegenerateError:  # nothing goes with these: as much as can be
+            nothing = RigCovariance.unknown(len(cameras), rig_size(rig)).matrix
+            changes.append(np.sqrt(np.einsum("vivi->vi", nothing)))
+    return np.array(changes).reshape(-1, len(rig.cameras), POSE)
+
+
+# --- which focal lengths that were given are wrong
+
+
+def find_wrong_focal(change: Floats, sigma: Floats, config: Config) -> Bools:
+    """Return the cameras `[view]` whose focal lengths are certainly other than was given.
+
+    By what they would change to if they were free: by a change that is certain by itself, and by
+    changes of all cameras alike, which are less uncertain together.
+
+    change, sigma: `[view]` of their logarithms, as of `FreeFocal`; NaN = not known.
+    """
+    uncertain = np.hypot(sigma, config.uncertainty.focal_systematic / 2)
+    certain = np.abs(change) > config.intrinsics.significance * uncertain
+    return np.asarray(certain | _all_change_alike(change, sigma, config))
+
+
+def _all_change_alike(change: Floats, sigma: Floats, config: Config) -> Bools:
+    """Return where a camera `[view]` has a wrong focal length as all others have, or none.
+
+    The mean of the changes weighed by their certainty is that of one focal length that the cameras
+    share, and nearly as certain.
+    """
+    none = np.zeros(len(change), dtype=bool)
+    if len(change) < 3 or not np.isfinite(change).all():
+        return none
+    weight, systematic = 1 / sigma**2, config.uncertainty.focal_systematic
+    mean = float((change * weight).sum() / weight.sum())
+    uncertain = float(np.hypot(np.sqrt(1 / weight.sum()), systematic / 2))
+    apart = np.abs(change - mean) > 2 * np.hypot(sigma, systematic)
+    if apart.any() or abs(mean) < config.intrinsics.significance * uncertain:
+        return none
+    return np.asarray(np.sign(mean) * change > sigma)

@@ -27,7 +27,7 @@ from mocap_calib.types import (
     EstimatedCamera,
     silent,
 )
-from mocap_calib.verdict.uncertainty import (
+from mocap_calib.verdict.verdict import (
     estimated_focal_changes,
     find_wrong_focal,
     given_focal_change,

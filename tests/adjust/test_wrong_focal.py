@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocap_calib.config import Config
-from mocap_calib.verdict.uncertainty import find_wrong_focal
+from mocap_calib.verdict.verdict import find_wrong_focal
 
 CONFIG = Config()
 

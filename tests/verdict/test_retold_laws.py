@@ -32,7 +32,7 @@ from mocap_calib.results import Matches, Uncertainty
 from mocap_calib.rig.associate import associate, have_same_groups
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import CameraRig, silent
-from mocap_calib.verdict.uncertainty import assess_uncertainty
+from mocap_calib.verdict.verdict import assess_uncertainty
 
 law = settings(max_examples=4, deadline=None, derandomize=True)
 SEEDS = st.integers(0, 2**32 - 1)

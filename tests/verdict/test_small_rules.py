@@ -25,9 +25,13 @@ from mocap_calib.verdict.verdict import _left_open
 def test_no_third_camera_checks_the_intrinsics_of_two(estimated, given, unchecked):
     known = Camera("a", (640, 480), np.diag([500.0, 500.0, 1.0]), np.zeros(5), False)
     found = EstimatedCamera.of(known, focal_sigma=1.0, k1_sigma=0.0)
-    rig = SimpleNamespace(cameras=(found,) * estimated + (known,) * given)
-    adjusted = SimpleNamespace(depth_reversed_rig=None)
-    assert len(list(_left_open(SimpleNamespace(rig=rig, adjusted=adjusted)))) == unchecked
+    cameras = (found,) * estimated + (known,) * given
+    group = SimpleNamespace(
+        rig=SimpleNamespace(cameras=cameras, names=("a",) * len(cameras)),
+        adjusted=SimpleNamespace(depth_reversed_rig=None),
+        uncertainty=SimpleNamespace(outlier_cameras=np.zeros(len(cameras), dtype=bool)),
+    )
+    assert len(list(_left_open(group, (), None))) == unchecked
 
 
 def test_the_share_of_the_matched_counts_whoever_is_named():

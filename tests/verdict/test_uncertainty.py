@@ -21,7 +21,7 @@ from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import GroupResult, Matches, RigCovariance
 from mocap_calib.types import Sample
-from mocap_calib.verdict.uncertainty import assess_uncertainty
+from mocap_calib.verdict.verdict import assess_uncertainty
 
 SMALL = {"people": 1, "frames": 40, "false_detections": 0.0}
 
