@@ -15,7 +15,7 @@ import numpy as np
 
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.lens import image_slopes
-from mocap_calib.kernels import settling as kernels
+from mocap_calib.kernels import adjustment as kernels
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import Camera, Floats, Ints
 

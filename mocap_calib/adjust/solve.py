@@ -14,7 +14,7 @@ import numpy as np
 from mocap_calib.adjust.residuals import POINT_STEPS, Linearised, Part, Residuals, State, parts_of
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.kernels import schur as kernels
+from mocap_calib.kernels import adjustment as kernels
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import POSE, Floats, Ints
 
