@@ -179,7 +179,7 @@ class MatchingConfig:
 
     least_affinity: float = 0.25
     individuals: int | None = None
-    decisive: float = 6.0
+    decisive: float = 2 * DECISIVE_NATS
     most_pieces: int = 500
 
 
@@ -396,7 +396,7 @@ class DiagnosisConfig:
     exchanged_share: float = 0.25
     frames: int = 200
     keypoints: int = 4000
-    time_blocks: int = 20
+    time_blocks: int = UncertaintyConfig.time_blocks
     candidates: int = 5
     focal_noise: float = 0.005
     least_keypoints: int = 100
@@ -704,8 +704,9 @@ FIVE_POINT_CONFIDENCE = 0.999  # of RANSAC
 # Points from the rays of many views (geometry/intersection.py); scales in standard deviations
 INTERSECT_STEPS = 2  # after the closed form: the third moves a point by 1e-9 of its distance
 INTERSECT_LOSS_SCALE = 3.0
-INTERSECT_TIGHTENING_SCALES = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # of the loss, among outliers
-INTERSECT_OUTLIER = 16.0  # squared error from which on a ray does not belong
+# of the loss, among outliers
+INTERSECT_TIGHTENING_SCALES = tuple(k * INTERSECT_LOSS_SCALE for k in (8, 4, 2, 1, 1, 1))
+INTERSECT_OUTLIER = TriangulateConfig.outlier**2  # squared error: rays beyond do not belong
 # squared error for each of the rays, from which on a point starts again: of few rays a wrong one
 # bends the point to itself
 INTERSECT_DOUBTFUL = 4 / 3

@@ -23,7 +23,7 @@ from mocap_calib.results import (
     GroupResult,
     PairwiseCalibration,
 )
-from mocap_calib.rig.averaging import WEIGHT_AT_SCALE, best_scores
+from mocap_calib.rig.averaging import best_scores
 from mocap_calib.types import ARBITRARY, EstimatedCamera, Floats
 from mocap_calib.verdict.checks import residuals_of
 from mocap_calib.verdict.evaluation import median_and_max
@@ -187,7 +187,7 @@ def _describe_pair(group: GroupResult, index: int, error: Floats) -> dict[str, A
         "loop_rotation_deg": float(np.degrees(averaged.loop_error[index])),
         "loop_translation_deg": float(np.degrees(averaged.translation_error[index])),
         "weight": weight,
-        "breaks_loop": weight < WEIGHT_AT_SCALE,
+        "breaks_loop": bool(averaged.contradicts[index]),
         "alternatives": [
             {
                 "score": other.score,

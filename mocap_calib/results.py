@@ -230,6 +230,11 @@ class Averaged(Record):
     translation_error: Floats
     weight: Floats
 
+    @property
+    def contradicts(self) -> Bools:
+        """`[pair]` which are farther from the rig than the scale of Geman and McClure's loss."""
+        return self.weight < 1 / 4
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Matches(Record):

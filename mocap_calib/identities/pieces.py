@@ -20,10 +20,10 @@ from mocap_calib.geometry.graphs import connected_parts, spanning_tree
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig import replace_labels
 from mocap_calib.rig.associate import LogRatio, measure_log_ratio
+from mocap_calib.rig.triangulate import frame_blocks
 from mocap_calib.types import Bools, Floats, Ints
 
 SAMPLE = 2000  # groups that scales and spreads are measured on
-_FRAMES = 512  # compared at a time
 _NORMAL = 1.48  # standard deviations over the median distance of a normal error from 0
 _LEAST_SPREAD = 0.005  # of the logarithm of a length
 
@@ -88,14 +88,14 @@ def step_distances(points: Floats) -> Floats:
 
     points: `[frame, group, joint, 3]`.
     """
-    frames, groups = points.shape[:2]
+    frames, groups, joints = points.shape[:3]
     distance = np.empty((max(frames - 1, 0), groups, groups))
 
-    def measure(block: slice) -> None:
-        later = points[block.start + 1 : block.stop + 1]
-        distance[block] = rms_distance(points[block][:, :, None], later[:, None])
+    def measure(block: Ints) -> None:
+        earlier, later = points[block][:, :, None], points[block + 1][:, None]
+        distance[mapped.as_slice(block)] = rms_distance(earlier, later)
 
-    do_in_threads(measure, mapped.frame_slices(frames - 1, _FRAMES))
+    do_in_threads(measure, frame_blocks(frames - 1, groups**2 * joints))
     return distance
 
 

@@ -23,7 +23,7 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 # The median distance of a normal error in the plane from its centre, sqrt(2 log 2), in standard
 # deviations of one coordinate
 MEDIAN_DISTANCE = 1.18
-_LEAST_POINTS = 30  # of a view, for a median of its own
+LEAST_POINTS = 30  # of a view: with fewer it is not known by itself
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -216,7 +216,7 @@ def _medians_of_views(
     """
     together = np.median(measured[counted]) if counted.any() else config.unknown_noise
     medians = np.full(len(rig), together)
-    for view in np.flatnonzero(counted.sum(1) >= _LEAST_POINTS):
+    for view in np.flatnonzero(counted.sum(1) >= LEAST_POINTS):
         medians[view] = np.median(measured[view, counted[view]])
     return np.maximum(medians, least_noise(rig, config))
 

@@ -33,15 +33,10 @@ from mocap_calib.geometry.rotation import (
     vector_from_matrix,
 )
 from mocap_calib.results import Averaged, Matches, PairwiseCalibration
-from mocap_calib.rig import gather_tracks
+from mocap_calib.rig import LEAST_POINTS, gather_tracks
 from mocap_calib.rig.view_graph import count_triangles
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Sample
 
-WEIGHT_AT_SCALE = (1 / (1 + 1)) ** 2  # of Geman and McClure: pairs with less contradict the rig
-# Of factorization: three views determine rotations up to a reversal; several times the unknowns of
-# a view are enough points
-_LEAST_VIEWS = 3
-_LEAST_POINTS = 24
 _REVERSE_DEPTH = np.diag([1.0, 1.0, -1.0])
 
 
@@ -276,7 +271,8 @@ def factorise(sample: Sample, matches: Matches) -> tuple[CameraRig, ...]:
     too few, or where they determine no rotations.
     """
     image = _image_points(sample, matches)
-    if len(image) < _LEAST_VIEWS or image.shape[1] < _LEAST_POINTS:
+    # three views determine rotations up to a reversal
+    if len(image) < 3 or image.shape[1] < LEAST_POINTS:
         return ()
     middle = image.mean(1)
     centred = np.concatenate(np.swapaxes(image - middle[:, None], 1, 2))  # [2 x view, point]
@@ -329,13 +325,12 @@ def _metric_upgrade(affine: Floats) -> Floats | None:
     orthography). affine: `[view, 2, 3]`.
     """
     m, n = affine[:, 0], affine[:, 1]
-    size = (m**2).sum(1) + (n**2).sum(1)
-    same_length = (_quadratic_terms(m, m) - _quadratic_terms(n, n)) / size[:, None]
-    right_angle = 2 * _quadratic_terms(m, n) / size[:, None]
-    constraints = np.concatenate([same_length, right_angle])
-    _, _, right = np.linalg.svd(constraints)
-    xx, xy, xz, yy, yz, zz = right[-1]
-    q = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    size = ((m**2).sum(1) + (n**2).sum(1))[:, None]
+    same_length = _quadratic_terms(m, m) - _quadratic_terms(n, n)
+    constraints = np.concatenate([same_length, 2 * _quadratic_terms(m, n)]) / np.tile(size, (2, 1))
+    q = np.zeros((3, 3))
+    q[np.triu_indices(3)] = np.linalg.svd(constraints)[2][-1]
+    q += np.triu(q, 1).T
     values, vectors = np.linalg.eigh(q * np.sign(np.trace(q)))
     # one negative value is noise along the direction that is seen least
     if values[-1] <= 0 or values[1] <= 0:
@@ -348,12 +343,7 @@ def _quadratic_terms(m: Floats, n: Floats) -> Floats:
 
     m, n: `[view, 3]`. The order is xx, xy, xz, yy, yz, zz.
     """
-    x, y, z = m.T
-    u, v, w = n.T
-    xx = x * u
-    xy = x * v + y * u
-    xz = x * w + z * u
-    yy = y * v
-    yz = y * w + z * v
-    zz = z * w
-    return np.stack([xx, xy, xz, yy, yz, zz], axis=1)
+    products = m[:, :, None] * n[:, None]
+    both_ways = products + np.swapaxes(products, 1, 2)
+    row, column = np.triu_indices(3)
+    return np.where(row == column, 0.5, 1.0) * both_ways[:, row, column]

@@ -55,7 +55,7 @@ WARM_UP = 0.05  # share of the training steps in which the learning rate rises
 LARGEST_GRADIENT = 1.0
 UNCERTAINTY_WEIGHT = 0.1  # of the Laplace likelihood in the loss of a lifter
 EVALUATION_SEED = 12345  # all networks are measured on the same examples
-EVALUATION_EXAMPLES = 8192  # views, or pairs of views, that a network is measured on
+EVALUATION_EXAMPLES = 32 * TrainConfig.batch  # views, or pairs of them, to measure a network on
 
 OWN_SPECIES_LEAST_POSES = 20  # 3D poses of a calibrated recording that can be learnt from
 OWN_SPECIES_LARGEST_ERROR = 3.0  # median reprojection errors: joints beyond it are left out
