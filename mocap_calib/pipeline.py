@@ -36,10 +36,11 @@ from mocap_calib.poses.stage import smooth_group
 from mocap_calib.recording.names import choose_refinement
 from mocap_calib.recording.sampling import choose_sample_frames, hide_blind_spots, take_sample
 from mocap_calib.results import CalibrationResult, Clocks, GroupResult, Matches, UnusedPair
+from mocap_calib.rig import Observed, leave_out_underconstrained
 from mocap_calib.rig.associate import associate, label_all_frames
-from mocap_calib.rig.averaging import average, camera_groups
+from mocap_calib.rig.averaging import average
 from mocap_calib.rig.triangulate import check_same_cameras
-from mocap_calib.rig.view_graph import Observed, calibrate_view_graph, leave_out_underconstrained
+from mocap_calib.rig.view_graph import calibrate_view_graph, camera_groups
 from mocap_calib.training import on_device
 from mocap_calib.types import CameraRig, Ints, Mapper, Progress, Recording, silent
 from mocap_calib.verdict.verdict import conclude, judge

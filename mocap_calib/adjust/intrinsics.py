@@ -20,9 +20,10 @@ from mocap_calib.config import SAME_IMAGE_SIZE, Config, IntrinsicsConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import LiftedPoses, Matches
+from mocap_calib.rig import Observed, leave_out_underconstrained
 from mocap_calib.rig.associate import associate, have_same_groups
-from mocap_calib.rig.averaging import average, camera_groups
-from mocap_calib.rig.view_graph import Observed, leave_out_underconstrained
+from mocap_calib.rig.averaging import average
+from mocap_calib.rig.view_graph import camera_groups
 from mocap_calib.types import (
     Camera,
     CameraRig,

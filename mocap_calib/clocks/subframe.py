@@ -25,9 +25,8 @@ from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.mapped import frame_slices
 from mocap_calib.recording.sampling import evenly_spaced, hide_blind_spots, take_sample, usual_step
 from mocap_calib.results import Adjusted, Matches, Poses3D, TimeOffsets
-from mocap_calib.rig import Tracks, labelled_frames
+from mocap_calib.rig import Observed, Tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.rig.view_graph import Observed
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
 _USUAL_SHARE = 0.98  # of the motions of points, the smaller ones

@@ -23,7 +23,7 @@ from mocap_calib.faults.leave_one_out import (
 from mocap_calib.faults.words import describe
 from mocap_calib.recording.corrections import Exchanged
 from mocap_calib.results import CalibrationResult, Fault, GroupResult
-from mocap_calib.rig.view_graph import Observed
+from mocap_calib.rig import Observed
 from mocap_calib.types import POSE
 
 _LEAST_DIFFERENCE = 0.01  # of the logarithms of focal lengths; to exchange equal ones is harmless

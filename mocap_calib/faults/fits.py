@@ -24,8 +24,7 @@ from mocap_calib.faults.leave_one_out import OtherCameras, nearest_quarter, roll
 from mocap_calib.geometry.lens import decompose_projection
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig import MEDIAN_DISTANCE
-from mocap_calib.rig.view_graph import Observed
+from mocap_calib.rig import MEDIAN_DISTANCE, Observed
 from mocap_calib.types import Camera, Floats, Ints
 
 _ROUGH_KEYPOINTS = 300  # of a first fit, and so many hypotheses are fitted to all keypoints

@@ -20,11 +20,11 @@ from mocap_calib.geometry.rotation import changed_rig, nearest_rotation
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, GroupResult, RigCovariance
-from mocap_calib.rig import gather_tracks, labelled_frames
+from mocap_calib.rig import Observed, gather_tracks, labelled_frames, leave_out_underconstrained
 from mocap_calib.rig.associate import associate
-from mocap_calib.rig.averaging import average, camera_groups
+from mocap_calib.rig.averaging import average
 from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
-from mocap_calib.rig.view_graph import Observed, leave_out_underconstrained, takes_all_pairs
+from mocap_calib.rig.view_graph import camera_groups, takes_all_pairs
 from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints, Sample, silent
 
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")

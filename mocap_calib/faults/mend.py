@@ -18,8 +18,8 @@ from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.faults.words import clock_faults, describe
 from mocap_calib.recording.corrections import Sides, apply_mends
 from mocap_calib.results import VERDICTS, CalibrationResult, Clocks, Fault, GroupResult, Mend
+from mocap_calib.rig import Observed
 from mocap_calib.rig.averaging import best_scores
-from mocap_calib.rig.view_graph import Observed
 from mocap_calib.types import Recording
 from mocap_calib.verdict.checks import report_frames, residuals_of
 

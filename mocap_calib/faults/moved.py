@@ -32,9 +32,8 @@ from mocap_calib.geometry.rotation import angle_between, rig_size
 from mocap_calib.recording.corrections import Moved, own_name
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.results import Fault, GroupResult, Matches
-from mocap_calib.rig import MEDIAN_DISTANCE, per_frame_labels
+from mocap_calib.rig import MEDIAN_DISTANCE, Observed, per_frame_labels
 from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
-from mocap_calib.rig.view_graph import Observed
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
 _CANDIDATES = 3  # cameras that are held against their leave-one-out rig

@@ -1,4 +1,4 @@
-"""Tracks: what the views saw of points, each a keypoint of an individual in a frame.
+"""What is known of views: pairs, and tracks of points, each a keypoint of one body in a frame.
 
 Also the labels that tracks are gathered by, and the angular noise of each view's detections. A
 triangulated point absorbs a part of the errors of its rays, so residuals are smaller than the
@@ -6,19 +6,24 @@ errors. `view_noise` is the standard deviation of the errors, for weights and co
 `measure_residuals` has that of the residuals, for limits and robust losses.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
+from mocap_calib.errors import UnderconstrainedCameraError
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import ViewBlock, intersect, median_angles, view_blocks
 from mocap_calib.geometry.lens import ray_angles, rays_in_world
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.results import Matches
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
+from mocap_calib.results import LiftedPoses, Matches, PairwiseCalibration
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording, Sample
+
+T = TypeVar("T")
 
 # The median distance of a normal error in the plane from its centre, sqrt(2 log 2), in standard
 # deviations of one coordinate
@@ -66,6 +71,76 @@ class Tracks:
         """
         frames, rank = np.unique(self.frame, return_inverse=True)
         return np.asarray(rank * blocks // max(len(frames), 1), dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What is known of some cameras before a rig is built.
+
+    sample_frames: `[frame]` indices into the recording of the frames of the sample.
+    lifted: the detections of the sample, lifted. pairs: between these cameras.
+    """
+
+    recording: Recording
+    sample_frames: Ints
+    sample: Sample
+    lifted: LiftedPoses
+    pairs: tuple[PairwiseCalibration, ...]
+
+    @property
+    def rotations(self) -> dict[tuple[int, int], Floats]:
+        """(a, b) -> `[3, 3]` b_from_a of each pair."""
+        return {(pair.a, pair.b): pair.rotation for pair in self.pairs}
+
+    def select(self, views: Ints) -> "Observed":
+        """Return what is known of these views (`[view]` indices) alone."""
+        return Observed(
+            recording=self.recording.select(views=views),
+            sample_frames=self.sample_frames,
+            sample=self.sample.select(views=views),
+            lifted=self.lifted.select(views),
+            pairs=pairs_among(self.pairs, views),
+        )
+
+    def without(self, camera: str) -> "Observed":
+        """Return what is known of all cameras but this one."""
+        names = self.recording.names
+        return self.select(np.array([v for v, name in enumerate(names) if name != camera]))
+
+
+def leave_out_underconstrained(observed: Observed, work: Callable[[Observed], T]) -> T:
+    """Return what is found of the cameras of one group that are constrained.
+
+    A camera that sees too little that agrees with others must not cost the others their rig: it
+    is left out, and the work on the rest starts again.
+    """
+    while True:
+        try:
+            return work(observed)
+        except UnderconstrainedCameraError as error:
+            if len(observed.recording.cameras) == 2:
+                raise
+            observed = observed.without(error.camera)
+
+
+def pairs_among(
+    pairs: tuple[PairwiseCalibration, ...], cameras: Ints
+) -> tuple[PairwiseCalibration, ...]:
+    """Return the pairs among some cameras, renumbered to the order of these.
+
+    cameras: `[view]` indices.
+    """
+    place = {int(camera): k for k, camera in enumerate(cameras)}
+    return tuple(
+        replace(
+            pair,
+            a=place[pair.a],
+            b=place[pair.b],
+            alternatives=pairs_among(pair.alternatives, cameras),
+        )
+        for pair in pairs
+        if pair.a in place and pair.b in place
+    )
 
 
 def gather_tracks(recording: Recording, matches: Matches, frames: Ints) -> Tracks:

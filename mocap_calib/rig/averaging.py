@@ -7,9 +7,6 @@ and Govindu 2018). Positions: all pairs see the same bodies, so each baseline co
 in body sizes, and positions are a linear problem, not one of directions; reweighted in the same
 way. A pair that contradicts its loops loses its weight and is named.
 
-First the graph of cameras that pairs connect: a group sees the same bodies. Groups that no loop and
-no certain pair connects are not joined by guess.
-
 One subject needs no model and no pairs: its image points are factorised (Tomasi and Kanade 1992),
 under scaled orthography (Poelman and Kanade 1997). Two views of a subject that is small against its
 distance leave the rotation between them open; three determine it, up to a reversal in depth (Ullman
@@ -22,8 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import SMALL_RIG, AveragingConfig
-from mocap_calib.errors import DegenerateError
+from mocap_calib.config import AveragingConfig
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import (
     angle_between,
@@ -34,7 +30,6 @@ from mocap_calib.geometry.rotation import (
 )
 from mocap_calib.results import Averaged, Matches, PairwiseCalibration
 from mocap_calib.rig import LEAST_POINTS, gather_tracks
-from mocap_calib.rig.view_graph import count_triangles
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Sample
 
 _REVERSE_DEPTH = np.diag([1.0, 1.0, -1.0])
@@ -49,92 +44,6 @@ def best_scores(pairs: tuple[PairwiseCalibration, ...], views: int) -> Floats:
     for pair in pairs:
         scores[[pair.a, pair.b]] = np.fmax(scores[[pair.a, pair.b]], pair.score)
     return scores
-
-
-def usable_cameras(
-    cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
-) -> Ints:
-    """Return the indices `[view]` of the cameras of the only group.
-
-    Single cameras that no pair connects to it are left out. Raises DegenerateError where there are
-    several groups, or none.
-    """
-    groups = camera_groups(cameras, pairs, config)
-    if len(groups) > 1:
-        names = [", ".join(cameras[view].name for view in group) for group in groups]
-        raise DegenerateError(
-            "expected cameras that see the same bodies, found groups that share too little: "
-            f"{' | '.join(names)}; calibrate each group by itself"
-        )
-    return groups[0]
-
-
-def camera_groups(
-    cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
-) -> tuple[Ints, ...]:
-    """Return the indices `[view]` of the cameras of each group that pairs connect.
-
-    The largest group comes first; single cameras are in none. Raises DegenerateError where nothing
-    is connected.
-    """
-    group_of = _join_cameras(len(cameras), _trusted_pairs(len(cameras), pairs, config), config)
-    members = (np.flatnonzero(group_of == group) for group in np.unique(group_of))
-    groups = [views for views in members if len(views) > 1]
-    if not groups:
-        raise DegenerateError(
-            "expected two cameras that see the same bodies, found none; "
-            "check that the files belong to these cameras and to the same time"
-        )
-    return tuple(sorted(groups, key=lambda views: (-len(views), views[0])))
-
-
-def _trusted_pairs(
-    cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
-) -> tuple[PairwiseCalibration, ...]:
-    """Return the pairs that may join cameras: in a large rig, half of whose triangles close.
-
-    A camera that shows a body once or twice fits beside every other camera with a good score, and
-    would join groups that do not belong together. In a small rig a camera that contradicts the
-    others stays, so that its fault can be found and named.
-    """
-    if cameras <= SMALL_RIG:
-        return pairs
-    closed, looked_at = count_triangles(pairs, config)
-    agree = 2 * closed >= looked_at
-    return tuple(pair for pair, agrees in zip(pairs, agree, strict=True) if agrees)
-
-
-def _join_cameras(
-    cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
-) -> Ints:
-    """Return `[view]` the number of the group that each camera belongs to.
-
-    Pairs join the groups of their cameras, the best score first. A group is certain once it has a
-    pair with a strong score. Two certain groups are joined only by a pair that has a strong score
-    itself, or that closes a triangle: views of different rooms always find something alike. Nor by
-    these where triangles contradict: what is alike in two rooms, it is for few of their views.
-    """
-    group = np.arange(cameras)
-    certain = np.zeros(cameras, dtype=bool)  # by number of the group
-    views = np.array([(pair.a, pair.b) for pair in pairs], dtype=np.int64).reshape(-1, 2)
-    closed, looked_at = count_triangles(pairs, config)
-    many = looked_at >= config.enough_triangles
-    contradicted = many & (closed < config.contradicted_share * looked_at)
-    usable = [k for k, pair in enumerate(pairs) if pair.score >= config.least_score]
-    for k in sorted(usable, key=lambda k: -pairs[k].score):
-        first, second = group[views[k]]
-        strong = pairs[k].score >= config.weak_score
-        joins = True
-        if certain[first] and certain[second]:
-            sides = group[views]
-            between = ((sides == first).any(1) & (sides == second).any(1)).nonzero()
-            enough = config.contradicted_share * looked_at[between].sum()
-            agreed = closed[k] > 0 and closed[between].sum() >= enough
-            joins = not contradicted[k] if strong else agreed
-        if joins:
-            certain[first] |= certain[second] or strong
-            group[group == second] = first
-    return group
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,13 @@ from mocap_calib.geometry.lens import agreeing_views, rays_in_world, reprojectio
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import GroupResult, Matches, ObservedPoints, Poses3D
 from mocap_calib.rig import (
+    Observed,
     Tracks,
     gather_tracks,
     noise_of_rays,
     per_frame_labels,
     view_noise,
 )
-from mocap_calib.rig.view_graph import Observed
 from mocap_calib.types import (
     Bools,
     CameraRig,

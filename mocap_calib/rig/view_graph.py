@@ -12,23 +12,25 @@ less similar ones in other frames.
 
 Around a triangle rotations and baselines must close (Zach, Klopschitz and Pollefeys 2010 find wrong
 relations by it): pairs that close none confirm nothing.
+
+Pairs connect cameras to groups, each of which sees the same bodies. Groups that no loop and no
+certain pair connects are not joined by guess.
 """
 
-from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
-from mocap_calib.config import AveragingConfig, Config, ViewGraphConfig
-from mocap_calib.errors import UnderconstrainedCameraError
+from mocap_calib.config import SMALL_RIG, AveragingConfig, Config, ViewGraphConfig
+from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.graphs import connected_parts, fiedler_vector
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.pairs.solve import PairSolver, all_pairs, calibrate_pairs
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import LiftedPoses, PairwiseCalibration
-from mocap_calib.types import Bools, Floats, Ints, Mapper, Progress, Recording, Sample
+from mocap_calib.types import Bools, Camera, Floats, Ints, Mapper, Progress, Sample
 
 T = TypeVar("T")
 
@@ -286,74 +288,90 @@ def _list_triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:
     return np.column_stack([edge, number[b[edge], c], number[a[edge], c]])
 
 
-# --- what is known of cameras before a rig is built
+# --- groups of cameras
 
 
-@dataclass(frozen=True)
-class Observed:
-    """What is known of some cameras before a rig is built.
+def usable_cameras(
+    cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
+) -> Ints:
+    """Return the indices `[view]` of the cameras of the only group.
 
-    sample_frames: `[frame]` indices into the recording of the frames of the sample.
-    lifted: the detections of the sample, lifted. pairs: between these cameras.
+    Single cameras that no pair connects to it are left out. Raises DegenerateError where there are
+    several groups, or none.
     """
-
-    recording: Recording
-    sample_frames: Ints
-    sample: Sample
-    lifted: LiftedPoses
-    pairs: tuple[PairwiseCalibration, ...]
-
-    @property
-    def rotations(self) -> dict[tuple[int, int], Floats]:
-        """(a, b) -> `[3, 3]` b_from_a of each pair."""
-        return {(pair.a, pair.b): pair.rotation for pair in self.pairs}
-
-    def select(self, views: Ints) -> "Observed":
-        """Return what is known of these views (`[view]` indices) alone."""
-        return Observed(
-            recording=self.recording.select(views=views),
-            sample_frames=self.sample_frames,
-            sample=self.sample.select(views=views),
-            lifted=self.lifted.select(views),
-            pairs=pairs_among(self.pairs, views),
+    groups = camera_groups(cameras, pairs, config)
+    if len(groups) > 1:
+        names = [", ".join(cameras[view].name for view in group) for group in groups]
+        raise DegenerateError(
+            "expected cameras that see the same bodies, found groups that share too little: "
+            f"{' | '.join(names)}; calibrate each group by itself"
         )
-
-    def without(self, camera: str) -> "Observed":
-        """Return what is known of all cameras but this one."""
-        names = self.recording.names
-        return self.select(np.array([v for v, name in enumerate(names) if name != camera]))
+    return groups[0]
 
 
-def leave_out_underconstrained(observed: Observed, work: Callable[[Observed], T]) -> T:
-    """Return what is found of the cameras of one group that are constrained.
+def camera_groups(
+    cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
+) -> tuple[Ints, ...]:
+    """Return the indices `[view]` of the cameras of each group that pairs connect.
 
-    A camera that sees too little that agrees with others must not cost the others their rig: it
-    is left out, and the work on the rest starts again.
+    The largest group comes first; single cameras are in none. Raises DegenerateError where nothing
+    is connected.
     """
-    while True:
-        try:
-            return work(observed)
-        except UnderconstrainedCameraError as error:
-            if len(observed.recording.cameras) == 2:
-                raise
-            observed = observed.without(error.camera)
+    group_of = _join_cameras(len(cameras), _trusted_pairs(len(cameras), pairs, config), config)
+    members = (np.flatnonzero(group_of == group) for group in np.unique(group_of))
+    groups = [views for views in members if len(views) > 1]
+    if not groups:
+        raise DegenerateError(
+            "expected two cameras that see the same bodies, found none; "
+            "check that the files belong to these cameras and to the same time"
+        )
+    return tuple(sorted(groups, key=lambda views: (-len(views), views[0])))
 
 
-def pairs_among(
-    pairs: tuple[PairwiseCalibration, ...], cameras: Ints
+def _trusted_pairs(
+    cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> tuple[PairwiseCalibration, ...]:
-    """Return the pairs among some cameras, renumbered to the order of these.
+    """Return the pairs that may join cameras: in a large rig, half of whose triangles close.
 
-    cameras: `[view]` indices.
+    A camera that shows a body once or twice fits beside every other camera with a good score, and
+    would join groups that do not belong together. In a small rig a camera that contradicts the
+    others stays, so that its fault can be found and named.
     """
-    place = {int(camera): k for k, camera in enumerate(cameras)}
-    return tuple(
-        replace(
-            pair,
-            a=place[pair.a],
-            b=place[pair.b],
-            alternatives=pairs_among(pair.alternatives, cameras),
-        )
-        for pair in pairs
-        if pair.a in place and pair.b in place
-    )
+    if cameras <= SMALL_RIG:
+        return pairs
+    closed, looked_at = count_triangles(pairs, config)
+    agree = 2 * closed >= looked_at
+    return tuple(pair for pair, agrees in zip(pairs, agree, strict=True) if agrees)
+
+
+def _join_cameras(
+    cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
+) -> Ints:
+    """Return `[view]` the number of the group that each camera belongs to.
+
+    Pairs join the groups of their cameras, the best score first. A group is certain once it has a
+    pair with a strong score. Two certain groups are joined only by a pair that has a strong score
+    itself, or that closes a triangle: views of different rooms always find something alike. Nor by
+    these where triangles contradict: what is alike in two rooms, it is for few of their views.
+    """
+    group = np.arange(cameras)
+    certain = np.zeros(cameras, dtype=bool)  # by number of the group
+    views = np.array([(pair.a, pair.b) for pair in pairs], dtype=np.int64).reshape(-1, 2)
+    closed, looked_at = count_triangles(pairs, config)
+    many = looked_at >= config.enough_triangles
+    contradicted = many & (closed < config.contradicted_share * looked_at)
+    usable = [k for k, pair in enumerate(pairs) if pair.score >= config.least_score]
+    for k in sorted(usable, key=lambda k: -pairs[k].score):
+        first, second = group[views[k]]
+        strong = pairs[k].score >= config.weak_score
+        joins = True
+        if certain[first] and certain[second]:
+            sides = group[views]
+            between = ((sides == first).any(1) & (sides == second).any(1)).nonzero()
+            enough = config.contradicted_share * looked_at[between].sum()
+            agreed = closed[k] > 0 and closed[between].sum() >= enough
+            joins = not contradicted[k] if strong else agreed
+        if joins:
+            certain[first] |= certain[second] or strong
+            group[group == second] = first
+    return group

@@ -47,9 +47,8 @@ from mocap_calib.results import (
     Uncertainty,
     Verdict,
 )
-from mocap_calib.rig import labelled_frames
+from mocap_calib.rig import Observed, labelled_frames
 from mocap_calib.rig.triangulate import triangulate
-from mocap_calib.rig.view_graph import Observed
 from mocap_calib.types import (
     POSE,
     Bools,

@@ -11,8 +11,9 @@ from mocap_calib.config import AveragingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.results import PairwiseCalibration
-from mocap_calib.rig.averaging import average, usable_cameras
-from mocap_calib.rig.view_graph import pairs_among
+from mocap_calib.rig import pairs_among
+from mocap_calib.rig.averaging import average
+from mocap_calib.rig.view_graph import usable_cameras
 from mocap_calib.types import CameraRig
 
 

@@ -18,7 +18,7 @@ from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.keypoints.coco_writer import format_coco
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import PairwiseCalibration
-from mocap_calib.rig.averaging import camera_groups, usable_cameras
+from mocap_calib.rig.view_graph import camera_groups, usable_cameras
 from mocap_calib.types import Camera, CameraRig, Keypoints2D
 
 CONFIG = AveragingConfig()

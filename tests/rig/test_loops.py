@@ -9,7 +9,7 @@ from rig.test_graph import hypothesis
 
 from mocap_calib.config import AveragingConfig
 from mocap_calib.results import PairwiseCalibration
-from mocap_calib.rig.averaging import camera_groups
+from mocap_calib.rig.view_graph import camera_groups
 from mocap_calib.synthetic import ring_rig
 from mocap_calib.types import CameraRig
 

@@ -23,8 +23,9 @@ def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     from mocap_calib.io.cameras.own import format_cameras_yaml
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.pairs_json import pairs_from_json
-    from mocap_calib.rig.averaging import average, usable_cameras
-    from mocap_calib.rig.view_graph import pairs_among
+    from mocap_calib.rig import pairs_among
+    from mocap_calib.rig.averaging import average
+    from mocap_calib.rig.view_graph import usable_cameras
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.describe import describe_unused_cameras
     from mocap_calib_cli.progress import Reporter
