@@ -110,20 +110,6 @@ if hasattr(os, "register_at_fork"):  # a child has no threads but its own
     os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
-def map_in_processes(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Yield `function` of every item as it is done, computed in other processes.
-
-    For work on small arrays, where threads wait for the interpreter. The function, the items and
-    the results are pickled. Raises what `Processes` raises.
-    """
-    count = thread_count()
-    if count == 1:
-        yield from map(function, items)
-        return
-    with processes(count) as workers:
-        yield from workers(function, items)
-
-
 class Processes:
     """Implements `types.Mapper` by processes of this machine, each of which uses one thread.
 

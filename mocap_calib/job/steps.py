@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.compute import identify_program
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import PAIR_SOLVERS, Config
 from mocap_calib.errors import ClusterError, MocapCalibError
 from mocap_calib.io.cameras.read import load_cameras, parse_content
@@ -24,7 +25,7 @@ from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
 from mocap_calib.job.results import UNFINISHED, WrittenGroup, remove_unfinished, write_result
 from mocap_calib.lift.lifter import Lifter, identify_model, load_model
-from mocap_calib.pairs.solve import PairSolver, pair_mapper
+from mocap_calib.pairs.solve import PairSolver
 from mocap_calib.paper import choose_pair_solver
 from mocap_calib.pipeline import calibrate
 from mocap_calib.results import CalibrationResult
@@ -151,10 +152,9 @@ def calibrate_job_resumably(
     where the recording cannot be calibrated.
     """
     request = job.request
-    pairwise = mapper or pair_mapper(job.loaded.recording, request.config.pairwise)
     method = request.describe_method(job.loaded.recording.model)
     try:
-        kept = remember_pairs(pairwise, request.output / UNFINISHED, method)
+        kept = remember_pairs(mapper or map_in_threads, request.output / UNFINISHED, method)
         return calibrate_job(job, progress=progress, mapper=kept)
     except ClusterError:  # not the recording's fault: the next attempt goes on from here
         raise

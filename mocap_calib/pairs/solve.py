@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.parallel import map_in_processes, map_in_threads, single_threaded_libraries
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import sampson_angle
 from mocap_calib.pairs.affinity import unit_essential_matrix
@@ -31,13 +31,7 @@ from mocap_calib.pairs.view_pair import (
     matched_rays,
 )
 from mocap_calib.results import LiftedPoses, PairwiseCalibration
-from mocap_calib.types import Bools, Floats, Ints, Mapper, Progress, Recording, Sample
-
-# Possible matches of joints that keep a thread busy in one pair, and that in all pairs are worth
-# processes: two seconds of work, where starting a process costs a third of one.
-_WORTH_A_THREAD = 50_000
-_WORTH_PROCESSES = 800_000
-
+from mocap_calib.types import Bools, Floats, Ints, Mapper, Progress, Sample
 
 PairSolver = Callable[[ViewPair], PairwiseCalibration | None]
 
@@ -57,11 +51,11 @@ def calibrate_pairs(
     """Calibrate the pairs of views that see something in the same frames; leave the others out.
 
     pairs: (a, b), a < b, by default all. What is found of one does not depend on the others.
-    mapper: has it done elsewhere; by default see `pair_mapper`.
+    mapper: has it done elsewhere; by default on threads.
     solve: calibrates one pair, by default `calibrate_pair`.
     """
     pairs = all_pairs(len(sample.cameras)) if pairs is None else pairs
-    mapper = mapper or pair_mapper(sample, config, count=len(pairs))
+    mapper = mapper or map_in_threads
     solve = solve or partial(calibrate_pair, config=config)
     found: list[PairwiseCalibration] = []
     for done, result in enumerate(mapper(solve, _gather(sample, lifted, pairs, config, rng))):
@@ -74,21 +68,6 @@ def calibrate_pairs(
 def all_pairs(views: int) -> list[tuple[int, int]]:
     """Return the pairs (a, b), a < b, of so many views, in order."""
     return list(combinations(range(views), 2))
-
-
-def pair_mapper(recording: Recording, config: PairwiseConfig, count: int | None = None) -> Mapper:
-    """Choose where so many pairs are calibrated, by default all.
-
-    In processes where there are many pairs of little work each: on small arrays threads wait for
-    the interpreter. In threads otherwise: much of the work of a pair of tracks is OpenCV's five
-    points, which leave the interpreter free; else there is little to do.
-    """
-    views, frames, instances, keypoints = recording.positions.shape[:4]
-    every = len(all_pairs(views))
-    work = min(frames, _frames_of_each(every, config)) * instances**2 * keypoints
-    count = every if count is None else count
-    little = work < _WORTH_A_THREAD and count * work >= _WORTH_PROCESSES
-    return map_in_processes if little else map_in_threads
 
 
 def in_recording(

@@ -60,7 +60,7 @@ def smooth():
 
 
 STAGES = [  # a call, and a step of it, in its module
-    (pairs, solve, "pair_mapper"),
+    (pairs, solve, "_gather"),
     (match, associate, "_measure_pose_ratio"),
     (adjust, refine, "choose_problem"),
     (triangulate, triangulation, "view_noise"),

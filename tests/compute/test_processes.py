@@ -10,13 +10,13 @@ import psutil
 import pytest
 from platforms import posix
 
-from mocap_calib.compute.parallel import map_in_processes, processes
+from mocap_calib.compute.parallel import processes
 from mocap_calib.errors import ClusterError
 
 # a process that has given work to another, which says who it is and then works for a minute
 AT_WORK = """
 import sys
-from mocap_calib.compute.parallel import map_in_processes, processes
+from mocap_calib.compute.parallel import processes
 sys.path += sys.argv[2:]
 from test_processes import say_and_sleep
 with processes(1) as workers:
@@ -35,10 +35,6 @@ def inverse_or_end(number):
     if number == 3:
         os.kill(os.getpid(), signal.SIGKILL)
     return 1 / number
-
-
-def squared(number):
-    return number * number, os.getpid()
 
 
 def outcome(result):
@@ -65,21 +61,6 @@ def test_one_item_that_fails_or_kills_its_process_does_not_end_the_others():
         4: 0.25,
         5: 0.2,
     }
-
-
-@posix
-def test_a_mapper_of_processes_ends_them(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    results = map_in_processes(squared, range(50))
-    first, there = next(results)
-    os.kill(there, 0)  # it is there
-    values, pids = zip(*results, strict=True)
-    assert sorted([first, *values]) == [k * k for k in range(50)]
-    assert os.getpid() not in pids
-    assert 1 <= len({there, *pids}) <= 2
-    assert not any(map(psutil.pid_exists, {there, *pids}))
-    with pytest.raises(ZeroDivisionError):
-        list(map_in_processes(inverse_or_end, range(2)))
 
 
 def test_no_more_is_taken_than_keeps_the_processes_busy():

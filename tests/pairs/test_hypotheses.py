@@ -4,11 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mocap_calib.compute.parallel import map_in_processes, map_in_threads
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.pairs.search import _known_identities
-from mocap_calib.pairs.solve import pair_mapper
 from mocap_calib.paper import (
     FivePointConfig,
     _count_inliers,
@@ -73,18 +71,6 @@ def test_candidates_are_of_detections_that_are_there():
     problem = _Problem(rays[0], rays[1], 1e-6, FivePointConfig(), estimate_by_loransac)
     (mask,) = _five_point_candidates(problem, np.random.default_rng(0))
     assert np.argwhere(mask).tolist() == [[0, 0, 1]]
-
-
-def test_pairs_are_spread_by_the_work_that_they_are():
-    """Many pairs of little work each: processes; threads, else."""
-    expected = {
-        (4, 50, 1): map_in_threads,
-        (60, 50, 2): map_in_processes,
-        (4, 200, 12): map_in_threads,
-    }
-    for (views, frames, instances), mapper in expected.items():
-        recording = SimpleNamespace(positions=np.empty((views, frames, instances, 17, 2), np.int8))
-        assert pair_mapper(recording, PairwiseConfig()) is mapper
 
 
 def test_sets_of_two_matches_are_of_two_bodies_in_each_view():
