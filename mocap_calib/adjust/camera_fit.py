@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from mocap_calib.adjust.covariance import scatter_of
-from mocap_calib.adjust.solve import System, levenberg_marquardt, solve_damped
+from mocap_calib.adjust.solve import System, levenberg_marquardt
 from mocap_calib.config import CameraFitConfig, Config
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import matrix_from_vector
@@ -105,30 +105,6 @@ def fit_camera(
         covariance=_covariance(found, seen, config.loss_scales[-1] * noise)[POSE:, POSE:],
         error=np.minimum(np.sqrt((found.residual**2).sum(0)), _FAR),
     )
-
-
-def shift_of_unknowns(
-    camera: Camera,
-    seen: Seen,
-    fit: CameraFit,
-    config: CameraFitConfig,
-    *,
-    noise: float,
-    free: tuple[Unknown, ...],
-) -> Floats:
-    """Return by how much `[unknown]` those of a fit change where its points lie elsewhere.
-
-    Of first order: one step of Gauss and Newton. seen: with points near those of the fit.
-    noise, free: as for the fit.
-    """
-    system = _system(
-        Unknowns(fit.pose, fit.unknowns),
-        camera=camera,
-        seen=seen,
-        free=free,
-        scale=config.loss_scales[-1] * noise,
-    )
-    return solve_damped(system, damping=0.0)[POSE:]
 
 
 @dataclass(frozen=True)

@@ -5,29 +5,38 @@ others place? The evidence of each hypothesis is in nats. One camera is named at
 are compared again once its input was corrected, as it spoils every rig that it is part of.
 """
 
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.config import DECISIVE_NATS, Config, DiagnosisConfig
-from mocap_calib.faults.fits import FittedHypothesis, add_rig_uncertainty, fit_hypotheses
-from mocap_calib.faults.hypotheses import evidence_of_unknowns, mend_of
+from mocap_calib.adjust.camera_fit import CameraFit, Seen, fit_camera
+from mocap_calib.adjust.resection import Resection, exchanged_share, resect, sightings_of
+from mocap_calib.config import DECISIVE_NATS, CameraFitConfig, Config, DiagnosisConfig
+from mocap_calib.faults.hypotheses import (
+    Hypothesis,
+    evidence_of_unknowns,
+    list_hypotheses,
+    mend_of,
+)
 from mocap_calib.faults.leave_one_out import (
     Held,
-    bent_points,
+    OtherCameras,
     leave_out,
+    nearest_quarter,
     pose_beside,
+    rolls,
     screen_cameras,
 )
 from mocap_calib.faults.words import describe
-from mocap_calib.recording.corrections import Exchanged
-from mocap_calib.results import CalibrationResult, Fault, GroupResult
-from mocap_calib.rig import Observed
-from mocap_calib.types import POSE
+from mocap_calib.geometry.lens import decompose_projection
+from mocap_calib.recording.corrections import exchanged_sides
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.results import CalibrationResult, Fault
+from mocap_calib.rig import MEDIAN_DISTANCE, Observed
+from mocap_calib.types import Camera, Floats, Ints
 
-_LEAST_DIFFERENCE = 0.01  # of the logarithms of focal lengths; to exchange equal ones is harmless
-_SYSTEMATIC = 0.01  # error of a change of focal length beyond its standard deviation
+_ROUGH_KEYPOINTS = 300  # of a first fit
 _EXACT = ("mirrored", "sides", "rotated")  # faults without unknowns
 
 
@@ -37,6 +46,23 @@ class Alternative:
 
     faults: tuple[Fault, ...]
     evidence: float
+
+
+@dataclass(frozen=True)
+class FittedHypothesis:
+    """A hypothesis fitted to the keypoints of a camera.
+
+    seen: the keypoints. gain: by which it lowers the robust cost of one, against the input as
+        given; spread: its standard deviation over keypoints.
+    effective: number of keypoints with independent gains that would tell as much.
+    """
+
+    hypothesis: Hypothesis
+    seen: Seen
+    fit: CameraFit
+    gain: float
+    spread: float
+    effective: float
 
 
 def find_faulty_cameras(
@@ -71,11 +97,6 @@ def _compare(
     if {name, *others.rig.names} <= set(rig.names):
         in_rig = pose_beside(others.rig, rig, name)
     fitted, share = fit_hypotheses(observed, view, others, config, in_rig=in_rig, seed=result.seed)
-    if not any(_evidence(each, share, config.diagnosis) > 0 for each in fitted):
-        return None
-    if any(each.hypothesis.free for each in fitted):
-        bent = bent_points(others, config)
-        fitted = [add_rig_uncertainty(each, bent, config.diagnosis) for each in fitted]
     evidence = [_evidence(each, share, config.diagnosis) for each in fitted]
     enough = [k for k, nats in enumerate(evidence) if nats > DECISIVE_NATS]
     if not enough:
@@ -87,7 +108,7 @@ def _compare(
     )
     # any camera beside a faulty one looks faulty itself, and of two halves of a rig whose sides
     # differ, the one whose bodies are lifted more alike is right
-    nats = fitted[best].gain * len(fitted[best].source) * others.pair_score**2
+    nats = fitted[best].gain * len(fitted[best].seen.points) * others.pair_score**2
     return Alternative((_name_fault(fitted[best], evidence[best], share, config.diagnosis),), nats)
 
 
@@ -119,19 +140,9 @@ def _upright(fitted: FittedHypothesis, config: DiagnosisConfig) -> float:
 def _gained(fitted: FittedHypothesis, effective: float) -> float:
     """Return the gain (nats) of so many keypoints, others than those that were fitted.
 
-    It is less by what unknowns gain of errors alone.
+    It is less by what unknowns gain of errors alone (Akaike's criterion).
     """
-    price = _price(POSE + len(fitted.hypothesis.free), effective) - _price(POSE, effective)
-    return fitted.gain * effective - price
-
-
-def _price(unknowns: int, keypoints: float) -> float:
-    """Return by how many nats a fit is better than it would be on other keypoints.
-
-    Akaike's criterion for small samples (Hurvich and Tsai 1989); a keypoint is two numbers.
-    """
-    spare = max(2 * keypoints - unknowns - 1, 1.0)
-    return unknowns + unknowns * (unknowns + 1) / spare
+    return fitted.gain * effective - len(fitted.hypothesis.free)
 
 
 def _name_fault(
@@ -146,7 +157,7 @@ def _name_fault(
     evidence: dict[str, float | int | str] = {
         "nats": nats,
         "gain": fitted.gain,
-        "keypoints": len(fitted.source),
+        "keypoints": len(fitted.seen.points),
         "error_px": float(np.median(fitted.fit.error)),
     }
     if mend.word == "sides":
@@ -157,31 +168,142 @@ def _name_fault(
     return Fault(mend.camera, mend.word, describe(mend), evidence, mend)
 
 
-def find_exchanged_cameras(group: GroupResult) -> list[Alternative]:
-    """Return the two cameras whose intrinsics are exchanged; nothing where none are.
+# --- hypotheses fitted to what a camera saw
 
-    Each looks wrong by itself, and spoils the rig that it would be held against. The evidence is
-    how much likelier the changes are that the adjustment asks of their focal lengths, where each
-    has that of the other; nothing else gives them away.
+
+def fit_hypotheses(
+    observed: Observed,
+    view: int,
+    others: OtherCameras,
+    config: Config,
+    *,
+    in_rig: Floats | None,
+    seed: int,
+) -> tuple[list[FittedHypothesis], float]:
+    """Return the hypotheses of a view fitted to what it saw of the others' points.
+
+    None where too few detections match any body. And the share of its detections that fit with
+    exchanged sides alone.
+
+    in_rig: the pose of the camera beside the others in the rig of all, where it has one.
     """
-    change, sigma = group.uncertainty.focal_change, group.uncertainty.focal_sigma
-    focal = np.log([camera.focal for camera in group.rig.cameras])
-    if len(focal) < 3 or not np.isfinite(change).all():
-        return []
-    variance = sigma**2 + _SYSTEMATIC**2
-    likelier = []
-    for a, b in combinations(range(len(focal)), 2):
-        ends, other = np.array([a, b]), focal[[b, a]] - focal[[a, b]]
-        nats = (change[ends] ** 2 - (change[ends] - other) ** 2) / (2 * variance[ends])
-        if abs(other[0]) > _LEAST_DIFFERENCE and (nats > 0).all():
-            likelier.append((float(nats.sum()), a, b))
-    nats, *views = max(likelier, default=(0.0, 0, 0))
-    if nats < DECISIVE_NATS:
-        return []
-    first, second = (group.rig.names[view] for view in views)
-    mend = Exchanged(first, second)
-    faults = tuple(
-        Fault(one, "exchanged", f"has the intrinsics of {other}", {"nats": nats}, mend)
-        for one, other in ((first, second), (second, first))
+    diagnosis, sample = config.diagnosis, observed.sample.select(frames=others.frames)
+    # without the given lens distortion, which is nearly right for all hypotheses
+    seen = sightings_of(sample.rays[view], others.points)
+    exchanged = replace(seen, image=seen.image[:, exchanged_sides(sample.keypoints)])
+    both = (resect(each, diagnosis.resection, seed=seed) for each in (seen, exchanged))
+    resections = [each for each in both if each is not None]
+    if not resections:
+        return [], 0.0
+    best = min(resections, key=lambda each: each.cost)
+    matched = best.individual >= 0
+    turn = _quarter_turn(others, best, sample.cameras[view], diagnosis)
+    tried = [
+        each
+        for each in list_hypotheses(sample, view)
+        if not each.name.startswith("rotated") or each.name == f"rotated {turn}"
+    ]
+    pixels = np.stack([each.pixels[seen.frame, seen.instance] for each in tried])
+    pixels[:, np.isnan(pixels).any((0, 3))] = np.nan  # all have the same keypoints
+    known = [
+        seen.known_points(best.individual, matched, each, blocks=diagnosis.time_blocks)
+        for each in pixels
+    ]
+    chosen = evenly_spaced(np.arange(len(known[0].points)), diagnosis.keypoints)
+    if matched.mean() < diagnosis.least_matched or len(chosen) < diagnosis.least_keypoints:
+        return [], 0.0
+    known = [each.select(chosen) for each in known]
+    starts = [pose for each in resections for pose in _starts(each, known[0].points)]
+    starts += [] if in_rig is None else [in_rig]
+    share = exchanged_share(seen, exchanged, best.projection, best.tolerance)
+    return _fit_all(tried, known, starts, diagnosis), share
+
+
+def _quarter_turn(
+    others: OtherCameras, best: Resection, camera: Camera, config: DiagnosisConfig
+) -> int:
+    """Return the quarter turn (degrees) by which the camera's images are rotated, 0 = none."""
+    rig, (_, rotation, translation) = others.rig, decompose_projection(best.projection)
+    with_camera = replace(
+        rig,
+        cameras=(*rig.cameras, camera),
+        rotation=np.concatenate([rig.rotation, rotation[None]]),
+        translation=np.concatenate([rig.translation, translation[None]]),
     )
-    return [Alternative(faults, nats)]
+    return int(nearest_quarter(rolls(with_camera, config), config)[-1])
+
+
+def _fit_all(
+    tried: Sequence[Hypothesis],
+    seen: Sequence[Seen],
+    starts: Sequence[Floats],
+    config: DiagnosisConfig,
+) -> list[FittedHypothesis]:
+    """Return the hypothesis that nothing is wrong, and the others that fit some keypoints better.
+
+    seen: what was seen under each. starts: poses `[3, 4]`.
+    """
+    noise = config.focal_noise * tried[0].camera.focal
+
+    def fit(k: int, part: Seen, start: Floats, settings: CameraFitConfig) -> CameraFit:
+        """Return the fit of one hypothesis."""
+        free = tried[k].free
+        return fit_camera(tried[k].camera, part, start, settings, noise=noise, free=free)
+
+    def cost(one: CameraFit) -> float:
+        """Return the mean robust cost of a keypoint."""
+        return float(_costs(one, noise).mean())
+
+    few = evenly_spaced(np.arange(len(seen[0].points)), _ROUGH_KEYPOINTS)
+    quick = replace(config.fit, steps=10)
+    rough = [
+        min((fit(k, part.select(few), start, quick) for start in starts), key=cost)
+        for k, part in enumerate(seen)
+    ]
+    better = [k for k in range(1, len(tried)) if cost(rough[k]) < cost(rough[0])]
+    kept = [0, *better]
+    fits = [fit(k, seen[k], rough[k].pose, config.fit) for k in kept]
+    sharpest = min(float(np.median(one.error)) for one in fits) / MEDIAN_DISTANCE
+    gains = [_costs(fits[0], sharpest) - _costs(one, sharpest) for one in fits]
+    return [
+        FittedHypothesis(
+            hypothesis=tried[k],
+            seen=seen[k],
+            fit=one,
+            gain=float(gain.mean()),
+            spread=float(gain.std()),
+            effective=effective_number(gain, (seen[k].block, seen[k].keypoint)),
+        )
+        for k, one, gain in zip(kept, fits, gains, strict=True)
+    ]
+
+
+def effective_number(values: Floats, clusters: tuple[Ints, Ints]) -> float:
+    """Return how many independent values have a mean as certain as that of these `[N]`.
+
+    clusters: two numberings `[N]`; values of one cluster of either have errors in common. N over
+    the design effect (Kish 1965), of two-way clusters (Cameron, Gelbach and Miller 2011).
+    """
+    deviation = values - values.mean()
+    alone = float(deviation @ deviation)
+    together = [float((np.bincount(each, deviation) ** 2).sum()) for each in clusters]
+    return len(values) * alone / max(sum(together) - alone, alone, 1e-300)
+
+
+def _starts(resection: Resection, points: Floats) -> tuple[Floats, Floats]:
+    """Return the pose `[3, 4]` of a resection, and the one of which a distant camera sees the same.
+
+    The second looks from the opposite side at what is mirrored: where perspective is weak, one
+    passes for the other (the reversal of Necker's cube).
+    """
+    _, rotation, translation = decompose_projection(resection.projection)
+    middle = np.median(points, axis=0)
+    opposite = np.diag([-1.0, 1.0, -1.0]) @ rotation
+    seen = (rotation @ middle + translation) * np.array([-1.0, 1.0, 1.0])
+    found = np.column_stack([rotation, translation])
+    return found, np.column_stack([opposite, seen - opposite @ middle])
+
+
+def _costs(fit: CameraFit, noise: float) -> Floats:
+    """Return the robust costs `[N]` of keypoints, -log of a Cauchy density (without constants)."""
+    return np.asarray(np.log1p((fit.error / (2 * noise)) ** 2))

@@ -16,7 +16,7 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.hypotheses import log_bayes_factor
-from mocap_calib.geometry.rotation import changed_rig, nearest_rotation
+from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, GroupResult, RigCovariance
@@ -25,7 +25,7 @@ from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import average
 from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.rig.view_graph import camera_groups, takes_all_pairs
-from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints, Sample, silent
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Sample, silent
 
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
 _LOW_SCORE = 0.8  # of a camera's pairs, as a share of that of the other pairs
@@ -253,19 +253,3 @@ def pose_beside(others: CameraRig, rig: CameraRig, name: str) -> Floats:
     centre = theirs.mean(0) + scale * (turn @ rig.centres[view] - ours.mean(0))
     rotation = rig.rotation[view] @ turn.T
     return np.column_stack([rotation, -rotation @ centre])
-
-
-def bent_points(others: OtherCameras, config: Config) -> list[tuple[float, Floats]]:
-    """Return points of slightly bent rigs, along the longest axes of the rig's covariance.
-
-    Each with one standard deviation along its axis, as a multiple of how far the rig was bent.
-    """
-    views, little = len(others.rig), 1e-4  # radians and sizes of the rig: for slopes
-    variances, axes = np.linalg.eigh(others.covariance.matrix.reshape(POSE * views, POSE * views))
-    bent = []
-    for variance, axis in zip(variances[:-25:-1], axes.T[:-25:-1], strict=True):
-        rig = changed_rig(others.rig, little * axis.reshape(views, POSE))
-        placed = replace(others.placed, rig=rig)
-        points = place_bodies(others.sample, placed, others.frames, config)
-        bent.append((np.sqrt(max(float(variance), 0.0)) / little, points))
-    return bent

@@ -7,16 +7,17 @@ the evidence, and the first alternative for which that suffices is taken.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import DECISIVE_NATS, EPOCH_MARK, Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.faults.compare import Alternative, find_exchanged_cameras, find_faulty_cameras
+from mocap_calib.faults.compare import Alternative, find_faulty_cameras
 from mocap_calib.faults.leave_one_out import hold_each
 from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.faults.words import clock_faults, describe
-from mocap_calib.recording.corrections import Sides, apply_mends
+from mocap_calib.recording.corrections import Exchanged, Sides, apply_mends
 from mocap_calib.results import VERDICTS, CalibrationResult, Clocks, Fault, GroupResult, Mend
 from mocap_calib.rig import Observed
 from mocap_calib.rig.averaging import best_scores
@@ -31,6 +32,8 @@ _ROUNDS = 3  # of finding and correcting faults: one may hide another
 # evidence of all detections that a correction explains, or no longer explains: as many have errors
 # of their own, about
 _NATS_OF_ALL = 2000.0
+_LEAST_DIFFERENCE = 0.01  # of the logarithms of focal lengths; to exchange equal ones is harmless
+_SYSTEMATIC = 0.01  # error of a change of focal length beyond its standard deviation
 _UNNATURAL_SIDES = 0.03  # rise of the log spread of lifted bodies; measured 0.05 and more
 
 
@@ -224,6 +227,36 @@ def _explained_shares(recording: Recording, results: Sequence[Calibrated]) -> li
         fit = 1 / (1 + (error / (angle * width[:, None, None, None])) ** 2)
         shares.append(float(np.nansum(fit)) / max(detected, 1))
     return shares
+
+
+def find_exchanged_cameras(group: GroupResult) -> list[Alternative]:
+    """Return the two cameras whose intrinsics are exchanged; nothing where none are.
+
+    Each looks wrong by itself, and spoils the rig that it would be held against. The evidence is
+    how much likelier the changes are that the adjustment asks of their focal lengths, where each
+    has that of the other; nothing else gives them away.
+    """
+    change, sigma = group.uncertainty.focal_change, group.uncertainty.focal_sigma
+    focal = np.log([camera.focal for camera in group.rig.cameras])
+    if len(focal) < 3 or not np.isfinite(change).all():
+        return []
+    variance = sigma**2 + _SYSTEMATIC**2
+    likelier = []
+    for a, b in combinations(range(len(focal)), 2):
+        ends, other = np.array([a, b]), focal[[b, a]] - focal[[a, b]]
+        nats = (change[ends] ** 2 - (change[ends] - other) ** 2) / (2 * variance[ends])
+        if abs(other[0]) > _LEAST_DIFFERENCE and (nats > 0).all():
+            likelier.append((float(nats.sum()), a, b))
+    nats, *views = max(likelier, default=(0.0, 0, 0))
+    if nats < DECISIVE_NATS:
+        return []
+    first, second = (group.rig.names[view] for view in views)
+    mend = Exchanged(first, second)
+    faults = tuple(
+        Fault(one, "exchanged", f"has the intrinsics of {other}", {"nats": nats}, mend)
+        for one, other in ((first, second), (second, first))
+    )
+    return [Alternative(faults, nats)]
 
 
 # --- clocks

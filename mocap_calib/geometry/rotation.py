@@ -214,13 +214,6 @@ def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
     return rig.stand(rig.rotation, centres)
 
 
-def changed_rig(rig: CameraRig, change: Floats) -> CameraRig:
-    """Return a rig whose cameras were turned and shifted by changes `[view, 6]` of `rig_change`."""
-    rotation = rig.rotation @ matrix_from_vector(change[:, :3])
-    centres = rig.centres + rig_size(rig) * change[:, 3:]
-    return rig.stand(rotation, centres)
-
-
 def project_out_similarity(change: Floats, rig: CameraRig) -> Floats:
     """Return what is left of changes of cameras when the best similarity is taken out.
 
