@@ -282,15 +282,15 @@ class PosesConfig:
         largest first. Chosen: 0.2 to 0.006 of motions at 10 to 60 frames a second. Where points
         accelerate by more than the largest (0.01 to 0.1 in motions, 0.7 and more elsewhere), frames
         do not follow each other.
-    bones: standard deviation of lengths, beyond what they were measured to vary by. Twice of it
-        costs two dogs 9 %, and others up to 1 %.
+    bones: standard deviations of lengths, beyond what they were measured to vary by, among which
+        they choose then. Chosen: the first in nine recordings, the second for simulated people.
+        Twice the first costs two dogs 9 %, and others up to 1 %.
     held_out_stretch: frames of bodies, in four of which they choose.
     steps: of Gauss-Newton, twice as many to fit points as to choose strengths, and to fit points
         again without the detections that the first fit drops; and of conjugate gradients in each.
     ridge: inverse variance of a point before anything is known of it, which damps the steps.
     longest_gap: frames without any detection of a joint that are bridged.
     largest_sigma: of a point; what is less sure is missing.
-    outlier: standard deviations from which on a detection is dropped.
     """
 
     smooth: SmoothMode = "auto"
@@ -298,13 +298,12 @@ class PosesConfig:
     prior_loss: float = 2.0
     shared_acceleration: float = 0.25
     accelerations: tuple[float, ...] = tuple(0.2 / 2**k for k in range(6))
-    bones: float = 0.012
+    bones: tuple[float, ...] = (0.012, 0.05)
     held_out_stretch: int = 50
     steps: int = 4
     ridge: float = 1e-2
     longest_gap: int = 10
     largest_sigma: float = 0.15
-    outlier: float = 6.0
 
 
 # expected rotation errors of the least certain camera, in degrees: below the first a rig is well
@@ -380,7 +379,8 @@ class DiagnosisConfig:
     frames, keypoints: that a camera is held against in its leave-one-out rig; time_blocks: within
         which errors go together. candidates: cameras that are.
     focal_noise: error of a keypoint, roughly, in focal lengths.
-    least_keypoints: that a camera is held against at all. least_matched: share of its detections.
+    least_keypoints: that a camera is held against at all. least_matched: share of its detections;
+        with a smaller one, of what is usual among the others, `verify` looks for it anew.
         Measured 0.45 and more where a camera is faulty, 0.05 where a rig of nearly affine cameras
         was accused.
     """
@@ -437,8 +437,6 @@ class MovedConfig:
 class VerifyConfig:
     """Whether a calibration goes with keypoints, and which camera moved since.
 
-    least_matched: share of the detections of a camera, of what is usual among the others, that must
-        match as the calibration has it; one with fewer is looked for anew.
     least_error_deg: what models of lenses and detectors do not know of any camera, at least.
     significance: chance that any camera of a rig that did not move is said to have moved, if the
         errors of the rest were normal: a ratio of variances of 29, 10, 7 and 6 for 3, 4, 5 and 6
@@ -453,7 +451,6 @@ class VerifyConfig:
         differ by 2 to 6 degrees from ours.
     """
 
-    least_matched: float = 0.3
     least_error_deg: float = 0.02
     significance: float = 3e-3
     least_turn_deg: float = 0.3

@@ -216,7 +216,7 @@ def find_lost_camera(
     cost = compare_projections(poses, seen, widest).cost
     best = int(np.nanmean(cost, axis=1).argmin())
     matched = (cost[best] < FITS).mean()
-    return poses[best] if matched >= config.verify.least_matched else None
+    return poses[best] if matched >= config.diagnosis.least_matched else None
 
 
 # --- any projection

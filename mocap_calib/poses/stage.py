@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import product
 from typing import Any
 
@@ -60,13 +60,17 @@ class _Individual:
 
 @dataclass(frozen=True)
 class _Scene:
-    """What is known of a recording: see `smooth_poses`. noise: `[view]` in radians."""
+    """What is known of a recording: see `smooth_poses`.
+
+    noise: `[view]` in radians. outlier: error in standard deviations of a detection that is wrong.
+    """
 
     recording: Recording
     rig: CameraRig
     matches: Matches
     poses: Poses3D
     noise: Floats
+    outlier: float
     config: PosesConfig
 
     @cached_property
@@ -148,7 +152,7 @@ def smooth_poses(
     if config.smooth == "off":
         return poses, Smoothing()
     noise = view_noise(recording, rig, matches, triangulate)
-    scene = _Scene(recording, rig, matches, poses, noise, config)
+    scene = _Scene(recording, rig, matches, poses, noise, triangulate.outlier, config)
     if not scene.individuals:
         return poses, Smoothing()
     strengths, held_out, without = _choose(scene)
@@ -224,7 +228,7 @@ def _estimate(
     config = scene.config
     points, seen, body = scene.track(who, frames)
     points = fit(points, seen, body, strengths, config, steps=2 * config.steps)
-    seen, outliers = drop_outliers(points, seen, config)
+    seen, outliers = drop_outliers(points, seen, scene.outlier)
     points = fit(points, seen, body, strengths, config, steps=config.steps)
     wide = replace(strengths, loss=config.losses[0])  # a narrow loss weighs all errors as outliers
     covariance = covariances(points, seen, body, wide, config)
@@ -340,6 +344,7 @@ def choose_strengths(
         for (_, seen, _), away in zip(tracks, hidden, strict=True)
     ]
 
+    @cache
     def loss(strengths: Strengths) -> float:
         """Return the mean loss of the hidden detections."""
         errors = []
@@ -353,9 +358,10 @@ def choose_strengths(
         Strengths(acceleration, usual.bones, width)
         for acceleration, width in product((np.inf, *accelerations), config.losses)
     ]
-    losses = list(map(loss, tried))
-    best = tried[int(np.argmin(losses))]
-    return best, min(losses), loss(replace(best, acceleration=np.inf, bones=np.inf))
+    best = min(tried, key=loss)
+    if np.isfinite(usual.bones):
+        best = min((replace(best, bones=each) for each in config.bones), key=loss)
+    return best, loss(best), loss(replace(best, acceleration=np.inf, bones=np.inf))
 
 
 def usual_strengths(tracks: Sequence[Track], config: PosesConfig, *, moves: bool) -> Strengths:
@@ -375,7 +381,7 @@ def usual_strengths(tracks: Sequence[Track], config: PosesConfig, *, moves: bool
     found = np.concatenate(sizes)
     sigma = float(np.median(found)) / _MEDIAN_LENGTH if len(found) else np.inf
     allowed = sigma if moves and sigma < config.accelerations[0] else np.inf
-    bones = config.bones if tracks[0][2].edges.size else np.inf
+    bones = config.bones[0] if tracks[0][2].edges.size else np.inf
     return Strengths(max(allowed, config.accelerations[-1]), bones, config.losses[0])
 
 
@@ -395,12 +401,10 @@ def _hide(seen: Detections, config: PosesConfig) -> Bools:
     return chosen & there & (there.sum(0) >= 3)
 
 
-def drop_outliers(
-    points: Floats, seen: Detections, config: PosesConfig
-) -> tuple[Detections, Bools]:
+def drop_outliers(points: Floats, seen: Detections, outlier: float) -> tuple[Detections, Bools]:
     """Return the detections without those far from the points, and which these are.
 
     points: `[keypoint, frame, 3]`. Which: `[view, keypoint, frame]`.
     """
-    far = (seen.precision > 0) & (squared_errors(points, seen) > config.outlier**2)
+    far = (seen.precision > 0) & (squared_errors(points, seen) > outlier**2)
     return replace(seen, precision=np.where(far, 0.0, seen.precision)), far

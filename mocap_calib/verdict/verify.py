@@ -198,7 +198,7 @@ def _find_lost_cameras(
     """
     share = matched_share(sample, matches)
     usual = np.array([np.median(np.delete(share, view)) for view in range(len(share))])
-    lost = share < config.verify.least_matched * usual
+    lost = share < config.diagnosis.least_matched * usual
     if not lost.any() or (~lost).sum() < 2:
         return rig, np.arange(len(rig))
     labels = np.where(lost[:, None, None], -1, matches.labels)

@@ -154,7 +154,7 @@ def test_nothing_is_smoothed_over_time_where_frames_do_not_follow_each_other():
     seen = replace(seen, frames=np.arange(60))
     poses, smoothing = smooth(seen, matches=truth(**EASY).select(frames=order), **EASY)
     assert smoothing.acceleration == np.inf
-    assert smoothing.bones == PosesConfig().bones
+    assert smoothing.bones in PosesConfig().bones
     assert not np.isin(poses.source, codes("interpolated", "one view")).any()
     assert mean_error(poses.positions, true_points(**EASY)[order]) < mean_error(
         poses.raw, true_points(**EASY)[order]
@@ -222,7 +222,7 @@ def test_blocks_of_time_join_without_a_seam(monkeypatch):
 
 
 def test_bodies_measured_in_some_of_their_frames_are_smoothed_alike(monkeypatch):
-    """Of 60 frames, 20: measured 3.6 mm apart on average, by other lengths of bones."""
+    """Of 60 frames, 20: measured 1.9 mm apart on average."""
     whole, _ = smoothed(**HARD)
     monkeypatch.setattr(mapped, "_ENOUGH", 20)
     some, _ = smooth(recording(**HARD), **HARD)
