@@ -16,7 +16,7 @@ from mocap_calib.geometry.rotation import Similarity, align_by_similarity, angle
 from mocap_calib.recording.corrections import views_by_camera
 from mocap_calib.results import RigCovariance
 from mocap_calib.rig.triangulate import triangulate_pixels
-from mocap_calib.types import METRES, Bools, Camera, CameraRig, Floats, MeasuredLandmark
+from mocap_calib.types import METRES, Bools, Camera, CameraRig, Floats, MeasuredLandmark, World
 from mocap_calib.verdict.evaluation import with_axes
 from mocap_calib.wording import count, one_line
 
@@ -51,10 +51,8 @@ class _Stated:
         by = align_by_similarity(found.reshape(-1, 3), known.reshape(-1, 3))
         distance = np.linalg.norm(by.apply(found[:, 0]) - known[:, 0], axis=1)
         stated = config.stated_sigma * _extent(known[:, 0])
-        offs, turn = (
-            [distance / np.hypot(stated, by.scale * self.sigma[some])],
-            np.zeros(len(found)),
-        )
+        offs = [distance / np.hypot(stated, by.scale * self.sigma[some])]
+        turn = np.zeros(len(found))
         if self.turned is not None:
             turn = angle_between(self.turned[some], by.rotation)
             offs.append(turn / np.hypot(config.stated_sigma, self.turn_sigma)[some])
@@ -89,10 +87,10 @@ class _Fit:
 
 def align_to_cameras(
     rig: CameraRig, config: WorldConfig, covariance: RigCovariance
-) -> tuple[Similarity, float, str]:
-    """Return the similarity to the world of known cameras, its relative error of scale, a remark.
+) -> tuple[Similarity, float, World]:
+    """Return the similarity to the world of known cameras, its relative error of scale, the world.
 
-    The remark says how well the cameras fit. covariance: of the rig.
+    Its remark says how well the cameras fit. covariance: of the rig.
 
     Raises MismatchError where fewer than two cameras are in both, and where their stated poses
     differ by more than errors can.
@@ -117,7 +115,7 @@ def align_to_cameras(
         f"aligned to {count(len(order), 'camera')} of known pose, RMS distance "
         f"{_describe_distance(stated, fit)}, RMS angle {np.degrees(_rms(fit.turn)):.1f} deg"
     )
-    return fit.by, _scale_sigma(fit.by, stated), remark
+    return fit.by, _scale_sigma(fit.by, stated), World(kind="file", remarks=(remark,))
 
 
 def stated_rig(known: Sequence[KnownCamera], names: Sequence[str]) -> CameraRig:
@@ -146,20 +144,18 @@ def stated_rig(known: Sequence[KnownCamera], names: Sequence[str]) -> CameraRig:
 
 
 def align_to_landmarks(
-    rig: CameraRig,
-    landmarks: Sequence[Landmark],
-    config: WorldConfig,
-    covariance: RigCovariance,
-) -> tuple[Similarity, float, tuple[MeasuredLandmark, ...]]:
-    """Return the similarity to the world of landmarks, its relative error of scale, the landmarks.
+    rig: CameraRig, config: WorldConfig, covariance: RigCovariance
+) -> tuple[Similarity, float, World]:
+    """Return the similarity to the world of landmarks, its relative error of scale, the world.
 
-    The landmarks are triangulated; each is returned with its distance from its stated place.
+    The landmarks are triangulated; each is in the world with its distance from its stated place.
 
     covariance: of the rig.
 
     Raises MismatchError for landmarks that are too few or on a line, and where their stated places
     differ by more than errors can.
     """
+    landmarks = config.landmarks
     names = tuple(dict.fromkeys(each.name for each in landmarks))
     places = {each.name: each.position for each in landmarks}
     known = np.array([places[name] for name in names]).reshape(-1, 3)
@@ -184,15 +180,19 @@ def align_to_landmarks(
     )
     by = _fit_or_refuse(stated, config).by
     away = np.linalg.norm(by.apply(found) - known, axis=1)
-    measured = tuple(map(MeasuredLandmark, names, away.tolist()))
-    return by, _scale_sigma(by, stated), measured
-
-
-def describe_alignment(landmarks: Sequence[MeasuredLandmark]) -> str:
-    """Return how well landmarks fit, in words."""
-    away = np.array([each.distance for each in landmarks])
-    away = away[np.isfinite(away)]
-    return f"aligned to {count(len(away), 'landmark')}, RMS distance {1e3 * _rms(away):.0f} mm"
+    known_away = away[np.isfinite(away)]
+    return (
+        by,
+        _scale_sigma(by, stated),
+        World(
+            kind="landmarks",
+            landmarks=tuple(map(MeasuredLandmark, names, away.tolist())),
+            remarks=(
+                f"aligned to {count(len(known_away), 'landmark')}, "
+                f"RMS distance {1e3 * _rms(known_away):.0f} mm",
+            ),
+        ),
+    )
 
 
 def check_landmarks(

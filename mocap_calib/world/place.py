@@ -15,7 +15,6 @@ from mocap_calib.world.align import (
     align_to_cameras,
     align_to_landmarks,
     check_landmarks,
-    describe_alignment,
     stated_rig,
 )
 from mocap_calib.world.floor import (
@@ -167,12 +166,8 @@ def _stated_axes(on: Measurable, config: WorldConfig) -> Placement:
 
     Raises MismatchError where these do not fit the rig, or people do not fit their unit.
     """
-    if config.landmarks:
-        by, sigma, seen = align_to_landmarks(on.rig, config.landmarks, config, on.covariance)
-        world = World(kind="landmarks", landmarks=seen, remarks=(describe_alignment(seen),))
-    else:
-        by, sigma, remark = align_to_cameras(on.rig, config, on.covariance)
-        world = World(kind="file", remarks=(remark,))
+    align = align_to_landmarks if config.landmarks else align_to_cameras
+    by, sigma, world = align(on.rig, config, on.covariance)
     option, unit = ("--align", "m") if config.landmarks else ("--world", config.unit)
     if unit in METRES:
         metres = METRES[unit] * by.scale * on.poses.positions

@@ -88,17 +88,19 @@ def test_known_cameras_and_landmarks_bring_a_rig_back_to_its_world():
     made = scene()
     away = move_rig(made.rig, BY, "arbitrary", World())
     known = known_cameras(made.rig)
-    by, sigma, remark = align_to_cameras(
+    by, sigma, world = align_to_cameras(
         away, WorldConfig(cameras=known[1:3], unit="m"), exact(away)
     )
     np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-8)
     assert sigma < 1e-8
-    assert remark == ("aligned to 2 cameras of known pose, RMS distance 0 mm, RMS angle 0.0 deg")
-    by, sigma, seen = align_to_landmarks(away, landmarks(), WorldConfig(), exact(away))
+    assert world.remarks == (
+        "aligned to 2 cameras of known pose, RMS distance 0 mm, RMS angle 0.0 deg",
+    )
+    by, sigma, world = align_to_landmarks(away, WorldConfig(landmarks=landmarks()), exact(away))
     np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-5)
     assert sigma < 1e-5
-    assert [each.name for each in seen] == list("abcd")
-    assert max(each.distance for each in seen) < 1e-5
+    assert [each.name for each in world.landmarks] == list("abcd")
+    assert max(each.distance for each in world.landmarks) < 1e-5
 
 
 def people_seen() -> Measurable:
@@ -135,10 +137,10 @@ def test_landmarks_that_do_not_say_enough_are_refused_in_a_line():
     rig = scene().rig
     line = landmarks(((0, 0, 0), (1, 0, 0), (2, 0, 0)))
     with pytest.raises(MismatchError, match="not on a line"):
-        align_to_landmarks(rig, line, WorldConfig(), exact(rig))
+        align_to_landmarks(rig, WorldConfig(landmarks=line), exact(rig))
     alone = [each for each in landmarks() if each.camera == rig.names[0]]
     with pytest.raises(MismatchError, match="3 landmarks that two cameras see, found 0 of 4"):
-        align_to_landmarks(rig, alone, WorldConfig(), exact(rig))
+        align_to_landmarks(rig, WorldConfig(landmarks=alone), exact(rig))
     with pytest.raises(MismatchError, match="at least two cameras of the recording"):
         align_to_cameras(rig, WorldConfig(), exact(rig))
 
@@ -149,10 +151,10 @@ MARKS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 1]])
 def test_landmarks_measured_by_hand_are_good_enough():
     """Measured: 0.4 sigma with a pixel of noise, 1.4 with 2 cm (an axis) in 4 m, of 5."""
     rig = scene().rig
-    align_to_landmarks(rig, landmarks(MARKS, noise=1.0), WorldConfig(), exact(rig))
+    align_to_landmarks(rig, WorldConfig(landmarks=landmarks(MARKS, noise=1.0)), exact(rig))
     wide = 4.0 * (MARKS - 0.5) * [1, 1, 0.4] + [0, 0, 1]
     by_hand = wide + 0.02 * np.random.default_rng(0).normal(size=wide.shape)
-    align_to_landmarks(rig, landmarks(wide, by_hand, noise=1.0), WorldConfig(), exact(rig))
+    align_to_landmarks(rig, WorldConfig(landmarks=landmarks(wide, by_hand, noise=1.0)), exact(rig))
 
 
 @pytest.mark.parametrize(
@@ -166,7 +168,9 @@ def test_landmarks_measured_by_hand_are_good_enough():
 def test_landmarks_that_contradict_what_cameras_see_are_refused(stated, says):
     rig = scene().rig
     with pytest.raises(MismatchError, match=says) as error:
-        align_to_landmarks(rig, landmarks(MARKS, stated, noise=1.0), WorldConfig(), exact(rig))
+        align_to_landmarks(
+            rig, WorldConfig(landmarks=landmarks(MARKS, stated, noise=1.0)), exact(rig)
+        )
     assert "\n" not in str(error.value)
 
 
@@ -177,10 +181,10 @@ def test_files_of_cameras_are_held_to_the_rig():
     away = move_rig(rig, BY, "arbitrary", World())
     turn = np.radians(1) / np.sqrt(3) * rng.normal(size=(len(rig), 3))
     rough = place(rig, matrix_from_vector(turn) @ rig.rotation, rig.centres)
-    _, _, remark = align_to_cameras(
+    _, _, world = align_to_cameras(
         away, WorldConfig(cameras=known_cameras(rough), unit="m"), exact(away)
     )
-    assert "RMS angle 0.7 deg" in remark
+    assert "RMS angle 0.7 deg" in world.remarks[0]
     one = rig.rotation.copy()
     one[1] = matrix_from_vector(np.array([0.0, 0.6, 0.0])) @ one[1]
     made_up = matrix_from_vector(rng.normal(size=(len(rig), 3)))
