@@ -109,7 +109,7 @@ class ViewGraphConfig:
 
     What two views see in common, by the shapes of lifted bodies:
     frames: that are compared, and in how many shifts out of step.
-    axes: of the shapes; alike: share of the usual squared distance at which two are alike.
+    alike: share of the usual squared distance at which two shapes are alike.
 
     The first graph, of each camera:
     partners: that see most in common with it; and as many more, evenly spread over those with at
@@ -127,7 +127,6 @@ class ViewGraphConfig:
     small_rig: int = SMALL_RIG
     frames: int = 60
     shifts: int = 4
-    axes: int = 12
     alike: float = 0.05
     partners: int = 5
     likely: float = 0.4

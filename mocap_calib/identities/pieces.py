@@ -220,8 +220,7 @@ class BoneLengths:
         """Return `[body]` the evidence in nats that each is the same as this one, 0 = none."""
         if self.ratio is None:
             return np.zeros(len(self.total))
-        likeness = self.likeness(np.arange(len(self.total)), np.array([body]))
-        return np.where(np.isfinite(likeness), self.ratio(likeness[:, None]), 0.0)
+        return self.ratio(self.likeness(np.arange(len(self.total)), np.array([body]))[:, None])
 
     def likeness(self, first: Ints, second: Ints) -> Floats:
         """Return `[pair]` log-likelihood ratios that two bodies are one, NaN without common bones.

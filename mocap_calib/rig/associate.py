@@ -7,7 +7,6 @@ measured on the pairs of detections of which geometry alone is sure.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -34,19 +33,16 @@ class LogRatio:
     """The log-likelihood ratio of two classes, linear in some features.
 
     slope: `[feature]`. low, high: `[feature]` range of the examples, beyond which it is constant.
-    unknown: the ratio where features are unknown, by how often they are in either class.
     """
 
     slope: Floats
     offset: float
     low: Floats
     high: Floats
-    unknown: float
 
     def __call__(self, features: Floats) -> Floats:
-        """Return the log-likelihood ratios `[...]` of features `[..., feature]`, NaN = unknown."""
-        found = np.clip(features, self.low, self.high) @ self.slope + self.offset
-        return np.where(np.isfinite(found), found, self.unknown)
+        """Return the log-likelihood ratios `[...]` of features `[..., feature]`, 0 where NaN."""
+        return np.nan_to_num(np.clip(features, self.low, self.high) @ self.slope + self.offset)
 
 
 def measure_log_ratio(features: Floats, one: Floats, two: Floats) -> LogRatio | None:
@@ -59,13 +55,10 @@ def measure_log_ratio(features: Floats, one: Floats, two: Floats) -> LogRatio | 
     is of either class, 0..1.
     """
     known = np.isfinite(features).all(-1)
-    totals = one.sum(), two.sum()
     features, one, two = features[known], one[known], two[known]
     least = min(one.sum(), two.sum())
     if least <= 0:
         return None
-    missing = (total - seen.sum() + 1 for total, seen in zip(totals, (one, two), strict=True))
-    shares = [each / (total + 1) for each, total in zip(missing, totals, strict=True)]
     one, two = one * (least / one.sum()), two * (least / two.sum())
     middle = features.mean(0)
     rows = np.column_stack([features - middle, np.ones(len(features))])
@@ -77,13 +70,8 @@ def measure_log_ratio(features: Floats, one: Floats, two: Floats) -> LogRatio | 
         curvature = (rows.T * ((one + two) * chance * (1 - chance))) @ rows + prior
         found = found + np.linalg.solve(curvature, gradient)
     slope = found[:-1]
-    return LogRatio(
-        slope,
-        float(found[-1] - middle @ slope),
-        low=features.min(0),
-        high=features.max(0),
-        unknown=float(np.log(shares[0] / shares[1])),
-    )
+    offset = float(found[-1] - middle @ slope)
+    return LogRatio(slope, offset, low=features.min(0), high=features.max(0))
 
 
 @single_threaded_libraries()
@@ -102,7 +90,9 @@ def associate(
     def group(block: Ints) -> Ints:
         affinity, comparable = _geometric_affinity(sample, lifted, rig, block, config.pairwise)
         if ratio is not None:
-            affinity = _update_affinity(affinity, ratio(_pose_features(lifted, rig, block)))
+            # bodies were lifted from the same joints that fit the epipolar geometry or do not: they
+            # choose among matches that fit, and join none that does not
+            affinity *= (1 + 1 / (1 + np.exp(-ratio(_pose_features(lifted, rig, block))))) / 2
         return _group_detections(affinity, comparable, views, config.matching.least_affinity)
 
     blocks = _cut_into_blocks(np.arange(frames), views * instances)
@@ -136,9 +126,15 @@ def label_all_frames(
 
     others = np.setdiff1d(np.arange(frames), sample_frames)
     blocks = _cut_into_blocks(others, views * instances)
-    label = partial(_label_by_rig, recording=recording, rig=rig, config=config)
-    found = map_in_threads(label, blocks)
-    for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
+
+    def label(frames: Ints) -> Ints:
+        part = take_sample(recording, frames)
+        distance = distances_by_size(part.rays)
+        affinity, comparable = epipolar_affinity(part, rig, distance, config.pairwise)
+        return _group_detections(affinity, comparable, views, config.matching.least_affinity)
+
+    found = zip(blocks, map_in_threads(label, blocks), strict=True)
+    for done, (block, groups) in enumerate(found, start=1):
         labels[:, block, : groups.shape[2]] = groups
         mapped.let_go()
         progress("match all", done, len(blocks))
@@ -195,15 +191,6 @@ def _both_ways(first: Floats, second: Floats) -> Floats:
     return np.asarray(products + np.swapaxes(products, 1, 2))
 
 
-def _update_affinity(affinity: Floats, log_ratio: Floats) -> Floats:
-    """Return affinities times 1/2 to 1, by the probability that lifted bodies are one individual.
-
-    Bodies were lifted from the same joints that fit the epipolar geometry or do not: they choose
-    among matches that fit, and join none that does not.
-    """
-    return np.asarray(affinity * (1 + 1 / (1 + np.exp(-log_ratio))) / 2)
-
-
 def _measure_pose_ratio(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig
 ) -> LogRatio | None:
@@ -241,14 +228,6 @@ def _certain_pairs(affinity: Floats, comparable: Floats, *, views: int) -> tuple
     taken = np.minimum(of_others(one), 1.0)
     two = np.maximum(taken, np.swapaxes(taken, 1, 2)) * (1 - affinity) * comparable
     return one, two
-
-
-def _label_by_rig(frames: Ints, *, recording: Recording, rig: CameraRig, config: Config) -> Ints:
-    """Return `[view, frame, instance]` groups of some frames (indices), by the rig alone."""
-    sample = take_sample(recording, frames)
-    distance = distances_by_size(sample.rays)
-    affinity, comparable = epipolar_affinity(sample, rig, distance, config.pairwise)
-    return _group_detections(affinity, comparable, len(rig), config.matching.least_affinity)
 
 
 def _group_detections(

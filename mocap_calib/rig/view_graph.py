@@ -194,19 +194,17 @@ def measure_covisibility(lifted: LiftedPoses, config: ViewGraphConfig) -> Floats
 def _describe_shapes(body: Floats, seen: Bools, config: ViewGraphConfig) -> Floats:
     """Return what of bodies no rotation changes, `[view, frame, instance, axis]`; 0 = not lifted.
 
-    The principal axes of their Gram matrices, in units of their usual distance times the square
-    root of `config.alike`. body: `[view, frame, instance, joint, 3]`.
+    Their Gram matrices, in units of their usual distance times the square root of `config.alike`.
+    body: `[view, frame, instance, joint, 3]`.
     """
     bodies = body[seen]
     first, second = np.triu_indices(bodies.shape[1])
     gram = (bodies @ np.swapaxes(bodies, 1, 2))[:, first, second]
     gram *= np.where(first == second, 1.0, np.sqrt(2.0))  # distances are those of whole matrices
     gram -= gram.mean(0)
-    axes = np.linalg.eigh(gram.T @ gram)[1][:, -config.axes :]
-    along = gram @ axes
-    usual = np.sqrt(2 * (along**2).sum(1).mean() * config.alike)
-    shapes = np.zeros((*seen.shape, along.shape[1]))
-    shapes[seen] = along / max(float(usual), 1e-12)
+    usual = np.sqrt(2 * (gram**2).sum(1).mean() * config.alike)
+    shapes = np.zeros((*seen.shape, gram.shape[1]))
+    shapes[seen] = gram / max(float(usual), 1e-12)
     return shapes
 
 
