@@ -22,8 +22,8 @@ from mocap_calib.config import (
     ResectionConfig,
 )
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
+from mocap_calib.kernels.association import compare_bodies
 from mocap_calib.kernels.jit import contiguous
-from mocap_calib.kernels.resection import compare
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.types import Bools, Floats, Ints, Sample
@@ -118,7 +118,7 @@ def compare_projections(
     image, bodies = np.swapaxes(seen.image, -1, -2), np.swapaxes(seen.bodies, -1, -2)
     tolerance = np.broadcast_to(tolerance, len(seen.frame)).astype(np.float64)
     given = contiguous(projections, seen.frame, image, bodies, tolerance)
-    compare(*given, LEAST_JOINTS, cost, body)
+    compare_bodies(*given, LEAST_JOINTS, cost, body)
     return Compared(cost, body)
 
 

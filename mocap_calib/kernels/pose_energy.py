@@ -1,8 +1,8 @@
-"""What rays and bones tell of the points of a fit, compiled.
+"""What rays, bones and accelerations tell of the points of a fit, compiled.
 
-It is summed in tiles of `LANES` frames, rows of which are computed at once. Over time, `LANES`
-joints lie side by side in a group; what the last has no joints for stays zero. The blocks are set
-where `pose_bands` makes factors of them.
+Rays and bones are summed in tiles of `LANES` frames, rows of which are computed at once. Over time,
+`LANES` joints lie side by side in a group; what the last has no joints for stays zero. The blocks
+are set where `pose_bands` makes factors of them.
 """
 
 import math
@@ -18,6 +18,10 @@ LANES = 20
 _OWN = 9 * LANES  # blocks of the diagonal, and the gradient
 _BLOCK = 6 * LANES
 _ROUNDING = 1e-12  # of what a point is held by
+POINT = 3 * LANES  # numbers of a group in a frame: coordinates,
+MOTION = 4 * LANES  # weights of accelerations, and these times them,
+FACTOR = 16 * LANES  # and P, F and c of `pose_bands`
+_TINY = 1e-100  # of an acceleration
 
 
 @inlined
@@ -261,3 +265,117 @@ def sum_known(
         for f in range(LANES):
             for g in range(len(points)):
                 factor[g, first + f, :_BLOCK] = turned[f, g]
+
+
+# --- accelerations
+
+
+@inlined
+def weigh_motion(
+    points: Floats, steps: Floats, expected: Floats, narrow: float, motion: Floats
+) -> None:
+    """Set the weights of accelerations and these times them, from points of three frames."""
+    first, second, third, own = steps[0], steps[1], steps[2], expected[0]
+    shared_x, shared_y, shared_z = expected[2], expected[3], expected[4]
+    for n in range(LANES):
+        x = first * points[n] + second * points[POINT + n] + third * points[2 * POINT + n]
+        m = n + LANES
+        y = first * points[m] + second * points[POINT + m] + third * points[2 * POINT + m]
+        m = n + 2 * LANES
+        z = first * points[m] + second * points[POINT + m] + third * points[2 * POINT + m]
+        x, y, z = x - shared_x, y - shared_y, z - shared_z
+        pull = own / (1 + (x * x + y * y + z * z) * own * narrow)
+        motion[n], motion[LANES + n] = pull, pull * x
+        motion[2 * LANES + n], motion[3 * LANES + n] = pull * y, pull * z
+
+
+@inlined
+def add_motion(
+    motion: Floats, steps: Floats, ridge: float, own: Floats, push: Floats, link: Floats
+) -> None:
+    """Add the accelerations of three frames to the last; set its links to the ones before.
+
+    motion: of the three frames. steps: `[3, 3]` by frame. own: its blocks. push: its gradient.
+    link: b and c.
+    """
+    in_last, in_middle, in_first = steps[0, 2], steps[1, 1], steps[2, 0]
+    at_middle, at_end = steps[0, 1], steps[1, 0]
+    at_start = steps[0, 0]
+    for n in range(LANES):
+        last, middle, first = motion[n], motion[MOTION + n], motion[2 * MOTION + n]
+        same = last * in_last * in_last + middle * in_middle * in_middle
+        same = same + first * in_first * in_first + ridge
+        own[n] += same
+        own[3 * LANES + n] += same
+        own[5 * LANES + n] += same
+        link[n] = last * at_middle * in_last + middle * at_end * in_middle
+        link[LANES + n] = last * at_start * in_last
+    for n in range(POINT):
+        m = LANES + n
+        own_push = in_last * motion[m] + in_middle * motion[MOTION + m]
+        push[n] += own_push + in_first * motion[2 * MOTION + m]
+
+
+# --- what the joints of a body share of their accelerations
+
+
+@inlined
+def _accelerate(points: Floats, steps: Floats, found: Floats, frame: int, first: int) -> None:
+    """Set the accelerations of a group's joints in one of the frames side by side.
+
+    points: of three frames. found: `[joint, 3 * LANES]`. first: the first joint of the group.
+    """
+    before, now, after = steps[0], steps[1], steps[2]
+    for n in range(min(LANES, len(found) - first)):
+        for k in range(3):
+            m = k * LANES + n
+            value = before * points[m] + now * points[POINT + m] + after * points[2 * POINT + m]
+            found[first + n, k * LANES + frame] = value
+
+
+@inlined
+def _add_weighed(own: Floats, middle: Floats, sums: Floats) -> None:
+    """Add a joint's accelerations times weights, and the weights: inverse distances."""
+    for n in range(LANES):
+        a, b, c = own[n], own[LANES + n], own[2 * LANES + n]
+        x, y, z = a - middle[n], b - middle[LANES + n], c - middle[2 * LANES + n]
+        weight = 1 / (math.sqrt(x * x + y * y + z * z) + _TINY)
+        sums[n] += weight * a
+        sums[LANES + n] += weight * b
+        sums[2 * LANES + n] += weight * c
+        sums[POINT + n] += weight
+
+
+@kernel("f8[:,:,::1], f8[:,::1], i8, i8, f8, f8[:,::1]")
+def share_accelerations(
+    points: Floats, steps: Floats, joints: int, rounds: int, part: float, expected: Floats
+) -> None:
+    """Set what joints share of the accelerations of frames, in the last three columns.
+
+    points: `[group, frame, 3 * LANES]`. rounds: towards the geometric median, from the mean
+    (Weiszfeld 1937). part: of the median, that is expected. expected: `[frame, 5]`; its last two
+    frames stay as they are.
+    """
+    own, middle = np.zeros((joints, POINT)), np.empty(POINT)
+    sums = np.empty(4 * LANES)
+    ends = len(expected) - 2
+    for first in range(0, ends, LANES):
+        frames = min(LANES, ends - first)
+        for f in range(frames):
+            t = first + f
+            for g in range(len(points)):
+                _accelerate(points[g, t : t + 3].reshape(-1), steps[t], own, f, g * LANES)
+        middle[:] = 0.0
+        for j in range(joints):
+            middle += own[j]
+        middle /= joints
+        for _ in range(rounds):
+            sums[:] = 0.0
+            for j in range(joints):
+                _add_weighed(own[j], middle, sums)
+            for n in range(LANES):
+                for k in range(3):
+                    middle[k * LANES + n] = sums[k * LANES + n] / sums[POINT + n]
+        for f in range(frames):
+            for k in range(3):
+                expected[first + f, 2 + k] = part * middle[k * LANES + f]

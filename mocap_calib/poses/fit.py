@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.kernels import pose_bands, pose_energy, pose_step
+from mocap_calib.kernels import pose_bands, pose_energy
 from mocap_calib.kernels.pose_energy import LANES
 from mocap_calib.types import Floats, Ints
 
@@ -106,7 +106,7 @@ def fit(
             gradient,
         )
         packed.factor_bands(gradient, config.prior_loss)
-        pose_step.take_step(
+        pose_bands.take_step(
             packed.along,
             packed.factor,
             packed.edges,
@@ -142,7 +142,7 @@ def covariances(
     )
     packed.factor_bands(np.zeros_like(packed.points), config.prior_loss)
     found = np.zeros((*packed.factor.shape[:2], 6 * LANES))
-    pose_step.invert_bands(packed.factor, found)
+    pose_bands.invert_bands(packed.factor, found)
     return _unpack(found, packed.joints, points.shape[1])
 
 
@@ -282,7 +282,7 @@ class _Packed:
         if self.expected[:, 0].any():
             known = self.joints * config.shared_acceleration
             part = known / (1 + known)
-            pose_bands.share_accelerations(
+            pose_energy.share_accelerations(
                 self.points, self.steps, self.joints, ROUNDS, part, self.expected
             )
 
