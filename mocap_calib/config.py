@@ -375,8 +375,8 @@ class DiagnosisConfig:
     upright_nats: evidence of a camera that lies on its side, beside upright ones, that its images
         are rotated. upright_deg: that upright cameras roll at most.
     exchanged_share: of the detections, whose sides are exchanged, from which on that is named.
-    frames, keypoints: that a camera is held against in its leave-one-out rig; time_blocks: within
-        which errors go together. candidates: cameras that are.
+    frames, keypoints: that a camera is held against in its leave-one-out rig; candidates: cameras
+        that are.
     focal_noise: error of a keypoint, roughly, in focal lengths.
     least_keypoints: that a camera is held against at all. least_matched: share of its detections;
         with a smaller one, of what is usual among the others, `verify` looks for it anew.
@@ -395,7 +395,6 @@ class DiagnosisConfig:
     exchanged_share: float = 0.25
     frames: int = 200
     keypoints: int = 4000
-    time_blocks: int = UncertaintyConfig.time_blocks
     candidates: int = 5
     focal_noise: float = 0.005
     least_keypoints: int = 100

@@ -206,7 +206,7 @@ def fit_hypotheses(
     pixels = np.stack([each.pixels[seen.frame, seen.instance] for each in tried])
     pixels[:, np.isnan(pixels).any((0, 3))] = np.nan  # all have the same keypoints
     known = [
-        seen.known_points(best.individual, matched, each, blocks=diagnosis.time_blocks)
+        seen.known_points(best.individual, matched, each, blocks=config.uncertainty.time_blocks)
         for each in pixels
     ]
     chosen = evenly_spaced(np.arange(len(known[0].points)), diagnosis.keypoints)

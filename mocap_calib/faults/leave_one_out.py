@@ -30,7 +30,6 @@ from mocap_calib.types import Camera, CameraRig, Floats, Ints, Sample, silent
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
 _LOW_SCORE = 0.8  # of a camera's pairs, as a share of that of the other pairs
 _DETECTIONS = 120  # of one camera, that are held against the others
-_TOLERANCE = 20.0  # standard deviations: of errors that wrong intrinsics make
 
 
 # --- which cameras
@@ -95,7 +94,7 @@ def screen_cameras(
     if len(members) >= 3:
         odd[members] |= nearest_quarter(rolls(group.rig, config.diagnosis), config.diagnosis) != 0
         keypoints = observed.sample.keypoints
-        odd[members] |= [differs(each, keypoints, config.diagnosis) for each in held]
+        odd[members] |= [differs(each, keypoints, config) for each in held]
     order = np.argsort(scores, kind="stable")
     return [int(view) for view in order if odd[view]]
 
@@ -147,13 +146,13 @@ def nearest_quarter(roll: Floats, config: DiagnosisConfig) -> Ints:
     return np.where(near, 90 * quarters % 360, 0).astype(np.int64)
 
 
-def differs(held: Held, keypoints: tuple[str, ...], config: DiagnosisConfig) -> bool:
+def differs(held: Held, keypoints: tuple[str, ...], settings: Config) -> bool:
     """Return whether a camera asks for other intrinsics, or for exchanged sides."""
-    seen, tolerance = held.seen, _TOLERANCE * held.noise
+    config, seen, tolerance = settings.diagnosis, held.seen, settings.adjust.outlier * held.noise
     exchanged = replace(seen, image=seen.image[:, exchanged_sides(keypoints)])
     share = exchanged_share(seen, exchanged, held.pose, tolerance)
     body, _ = match(seen, held.pose, tolerance)
-    known = seen.known_points(body, body >= 0, held.pixels, blocks=config.time_blocks)
+    known = seen.known_points(body, body >= 0, held.pixels, blocks=settings.uncertainty.time_blocks)
     if len(known.points) < config.least_keypoints:
         return False
     camera, rough = held.camera, config.focal_noise * held.camera.focal

@@ -36,9 +36,6 @@ from mocap_calib.rig import MEDIAN_DISTANCE, Observed, per_frame_labels
 from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
-_CANDIDATES = 3  # cameras that are held against their leave-one-out rig
-_NEAR_DETECTIONS = 5  # on either side, among which the frame of a change is looked for
-
 
 @dataclass(frozen=True)
 class Epochs:
@@ -90,7 +87,7 @@ def _screen(held: list[Held], config: Config) -> list[int]:
         return choose_epochs(found, one.seen, config.moved, least=0.0)[1]
 
     scores = np.array([*map_in_threads(evidence, held)])
-    order = np.argsort(-scores, kind="stable")[:_CANDIDATES]
+    order = np.argsort(-scores, kind="stable")[: config.diagnosis.candidates]
     return [int(view) for view in order if scores[view] > 0]
 
 
@@ -283,9 +280,9 @@ def _find_frame(
     The frames about it are looked at ever more closely, down to each single one.
     matches: labels of the whole recording.
     """
-    start = int(changed.epochs.starts[change])
-    first = int(changed.frames[max(0, start - _NEAR_DETECTIONS)])
-    last = int(changed.frames[min(len(changed.frames) - 1, start + _NEAR_DETECTIONS)])
+    start, near = int(changed.epochs.starts[change]), config.moved.least_detections
+    first = int(changed.frames[max(0, start - near)])
+    last = int(changed.frames[min(len(changed.frames) - 1, start + near)])
     found = int(changed.frames[start])
     pair = changed.epochs.poses[change : change + 2]
     while True:
