@@ -9,7 +9,7 @@ import numpy as np
 from mocap_calib import __version__, mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import VERDICT_LIMITS_DEG, IntrinsicsConfig
-from mocap_calib.faults.words import describe_clock, describe_faults
+from mocap_calib.faults.hypotheses import describe_clock, describe_faults
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement, round_sigma
 from mocap_calib.io.world_fields import world_fields

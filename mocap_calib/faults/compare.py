@@ -15,6 +15,7 @@ from mocap_calib.adjust.resection import Resection, exchanged_share, resect, sig
 from mocap_calib.config import DECISIVE_NATS, CameraFitConfig, Config, DiagnosisConfig
 from mocap_calib.faults.hypotheses import (
     Hypothesis,
+    describe,
     evidence_of_unknowns,
     list_hypotheses,
     mend_of,
@@ -28,7 +29,6 @@ from mocap_calib.faults.leave_one_out import (
     rolls,
     screen_cameras,
 )
-from mocap_calib.faults.words import describe
 from mocap_calib.geometry.lens import decompose_projection
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced

@@ -14,9 +14,9 @@ import numpy as np
 from mocap_calib.config import DECISIVE_NATS, EPOCH_MARK, Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.compare import Alternative, find_faulty_cameras
+from mocap_calib.faults.hypotheses import clock_faults, describe
 from mocap_calib.faults.leave_one_out import hold_each
 from mocap_calib.faults.moved import find_moved_cameras
-from mocap_calib.faults.words import clock_faults, describe
 from mocap_calib.recording.corrections import Exchanged, Sides, apply_mends
 from mocap_calib.results import VERDICTS, CalibrationResult, Clocks, Fault, GroupResult, Mend
 from mocap_calib.rig import Observed

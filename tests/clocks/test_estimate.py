@@ -20,7 +20,7 @@ from mocap_calib.clocks.maps import (
     weigh,
 )
 from mocap_calib.config import SyncConfig
-from mocap_calib.faults.words import clock_faults, option_of
+from mocap_calib.faults.hypotheses import clock_faults, option_of
 from mocap_calib.kernels import clocks as kernels
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import CameraClock

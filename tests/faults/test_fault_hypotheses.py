@@ -10,6 +10,7 @@ from scenes import calibrate_all, recording, rotation_errors_deg, scene
 from mocap_calib.adjust.camera_fit import CameraFit
 from mocap_calib.config import DECISIVE_NATS, Config, DiagnosisConfig, MendConfig
 from mocap_calib.faults.hypotheses import (
+    describe,
     evidence_of_unknowns,
     list_hypotheses,
     log_bayes_factor,
@@ -18,7 +19,6 @@ from mocap_calib.faults.hypotheses import (
 )
 from mocap_calib.faults.leave_one_out import nearest_quarter, rolls
 from mocap_calib.faults.mend import find_exchanged_cameras
-from mocap_calib.faults.words import describe
 from mocap_calib.recording.corrections import Cropped, Exchanged, Resized, Sides
 from mocap_calib.types import Recording
 

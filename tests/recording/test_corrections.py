@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.faults.words import option_of
+from mocap_calib.faults.hypotheses import option_of
 from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.recording.corrections import (
     Cropped,

@@ -108,7 +108,7 @@ def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> No
     """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
     from mocap_calib.clocks.estimate import estimate_clocks
     from mocap_calib.config import Config
-    from mocap_calib.faults.words import clock_faults, describe_clock, option_of
+    from mocap_calib.faults.hypotheses import clock_faults, describe_clock, option_of
     from mocap_calib.job.load import load_recording
     from mocap_calib.lift.lift import RememberedLift
     from mocap_calib.lift.lifter import choose_model

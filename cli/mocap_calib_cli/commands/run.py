@@ -64,7 +64,7 @@ def command(
       mocap-calib run keypoints/ --image-size 1920x1080 -o out --save-config recording.yaml
       mocap-calib run --config recording.yaml
     """
-    from mocap_calib.faults.words import describe_unknown_clocks
+    from mocap_calib.faults.hypotheses import describe_unknown_clocks
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
     from mocap_calib_cli import describe, ending, inputs, outputs, verdicts

@@ -113,7 +113,7 @@ def _choose_format(output: str | None, target: str | None) -> str | None:
 
 def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
     """Return the cameras as a table, the verdict, and what to do."""
-    from mocap_calib.faults.words import clock_faults
+    from mocap_calib.faults.hypotheses import clock_faults
     from mocap_calib_cli.screen import Line
     from mocap_calib_cli.verdicts import STYLES, explain
 
