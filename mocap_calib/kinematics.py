@@ -59,22 +59,15 @@ def define(
     spelt = [side + joint for joint in section.get("trunk", ()) for side in ("", *SIDES)]
     return Definitions(
         edges=edges_of_keypoints(skeleton, vocabulary),
-        angles=_define_angles(section.get("angles", {}), known),
+        angles={
+            side + name: (a, vertex, b)
+            for name, joints in section.get("angles", {}).items()
+            for side, (a, vertex, b) in _chains(joints, known).items()
+        },
         trunk=tuple(known[name] for name in spelt if name in known),
         legs=tuple(_chains(section.get("leg", ()), known).values()),
         feet=_define_feet(section.get("feet", {}), known),
     )
-
-
-def _define_angles(
-    angles: Mapping[str, Any], known: Mapping[str, int]
-) -> dict[str, tuple[int, int, int]]:
-    """Return the angles of which the recording has all three joints."""
-    found = {}
-    for name, joints in angles.items():
-        for side, (a, vertex, b) in _chains(joints, known).items():
-            found[f"{side}{name}"] = (a, vertex, b)
-    return found
 
 
 def _define_feet(feet: Mapping[str, Any], known: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
@@ -92,11 +85,9 @@ def _define_feet(feet: Mapping[str, Any], known: Mapping[str, int]) -> dict[str,
 
 def _chains(joints: Sequence[Any], known: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
     """Return the keypoints of a chain of joints, by side; "" = a chain in the body's middle."""
-    sided = {side: [_find(joint, side, known) for joint in joints] for side in SIDES}
-    middle = [_find(joint, "", known) for joint in joints]
-    if joints and -1 not in middle:
-        return {"": tuple(middle)}
-    return {side: tuple(own) for side, own in sided.items() if own and -1 not in own}
+    found = {side: [_find(joint, side, known) for joint in joints] for side in ("", *SIDES)}
+    whole = {side: tuple(own) for side, own in found.items() if own and -1 not in own}
+    return {"": whole[""]} if "" in whole else whole
 
 
 def _find(joint: Any, side: str, known: Mapping[str, int]) -> int:
@@ -302,10 +293,8 @@ def average_around(frames: Ints, values: Floats, reach: int) -> Floats:
 
     NaN stays where a value itself is missing.
     """
-    low, high = (
-        np.searchsorted(frames, frames - reach),
-        np.searchsorted(frames, frames + reach, side="right"),
-    )
+    low = np.searchsorted(frames, frames - reach)
+    high = np.searchsorted(frames, frames + reach, side="right")
     known = np.isfinite(values)
     sums = np.zeros((2, len(frames) + 1, *values.shape[1:]))
     np.cumsum([np.where(known, values, 0.0), known], axis=1, out=sums[:, 1:])

@@ -270,14 +270,14 @@ def _cues_of_group(
 
     A distance of cameras that are in no group counts as one of the largest, which refuses it.
     """
-    own = []
-    for cue in cues:
-        of = 0 if cue.kind == "height" and cue.of else number
+
+    def group_of(cue: ScaleCue) -> int:
+        """Return the number of the group that a cue is of."""
         if cue.kind == "camera distance":
-            of = next((k for k, group in enumerate(groups) if _has_cameras(group, cue)), 0)
-        if of == number:
-            own.append(cue)
-    return tuple(own)
+            return next((k for k, group in enumerate(groups) if _has_cameras(group, cue)), 0)
+        return 0 if cue.kind == "height" and cue.of else number
+
+    return tuple(cue for cue in cues if group_of(cue) == number)
 
 
 def _has_cameras(group: GroupResult, cue: ScaleCue) -> bool:
