@@ -445,7 +445,7 @@ class CameraRig(Record):
     world: World = field(default_factory=World, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cameras", _without_poses(self.cameras))
+        object.__setattr__(self, "cameras", intrinsics_of(self.cameras))
         check_names("rig: cameras", self.names)
         check_unit("rig", self.unit)
         self._copy("rig", "rotation", float, len(self.cameras), 3, 3)
@@ -552,11 +552,8 @@ class CameraRig(Record):
 
 def intrinsics_of(cameras: Sequence[Camera] | CameraRig) -> tuple[Camera, ...]:
     """Return the cameras of a rig, or cameras, without extrinsics."""
-    return cameras.cameras if isinstance(cameras, CameraRig) else _without_poses(cameras)
-
-
-def _without_poses(cameras: Iterable[Camera]) -> tuple[Camera, ...]:
-    """Return the cameras; of those of a rig (`PosedCamera`) the intrinsics alone."""
+    if isinstance(cameras, CameraRig):
+        return cameras.cameras
     return tuple(
         Camera(**_intrinsic_fields(each)) if isinstance(each, PosedCamera) else each
         for each in cameras
@@ -655,7 +652,7 @@ class Recording(Record):
     model: str = field(default="people", kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cameras", _without_poses(self.cameras))
+        object.__setattr__(self, "cameras", intrinsics_of(self.cameras))
         object.__setattr__(self, "keypoints", tuple(self.keypoints))
         views, keypoints = len(self.cameras), len(self.keypoints)
         self._hold("recording", "positions", float, views, None, None, keypoints, 2)

@@ -10,6 +10,7 @@ halves of pieces, which are of one individual, against pieces that are seen toge
 """
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -24,7 +25,8 @@ from mocap_calib.rig.triangulate import frame_blocks
 from mocap_calib.types import Bools, Floats, Ints
 
 SAMPLE = 2000  # groups that scales and spreads are measured on
-_NORMAL = 1.48  # standard deviations over the median distance of a normal error from 0
+# standard deviations over the median distance of a normal error from 0
+_NORMAL = 1 / NormalDist().inv_cdf(0.75)
 _LEAST_SPREAD = 0.005  # of the logarithm of a length
 
 
