@@ -16,7 +16,6 @@ import numpy as np
 from mocap_calib.clocks.compare import (
     LEAST_FRAMES,
     Pair,
-    Singles,
     ViewInTime,
     agreement,
     agreement_of_rays,
@@ -28,10 +27,9 @@ from mocap_calib.clocks.compare import (
 from mocap_calib.clocks.maps import (
     Agreements,
     Timing,
-    describe_clock,
+    describe_clocks,
     evidence,
     find_timing,
-    weigh,
 )
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import DECISIVE_NATS, Config, SyncConfig
@@ -146,11 +144,13 @@ def find_clocks(
     given = {pair: rotations[pair] for pair in compared if pair in rotations}
     sure: set[int] = set()
     if given:
-        shape = (len(views), *stretches.shape)
-        synchronous = Timing(np.broadcast_to(np.arange(shape[2]), shape), np.ones(shape[0]))
-        values, as_calibrated = _align(views, given, synchronous, window)
-        agreements = Agreements.of(len(views), values, window)
-        cameras = _cameras(recording.names, numbers, agreements, as_calibrated)
+        agreements = _compare(views, given, window)
+        timing = find_timing(agreements)
+        cameras = describe_clocks(recording.names, numbers, agreements, timing)
+        if all(camera.kind == "in step" for camera in cameras):
+            return cameras
+        near = _align(views, given, timing, window)
+        cameras = describe_clocks(recording.names, numbers, *near)
         sure = {view for view, camera in enumerate(cameras) if camera.kind == "in step"}
     searched = [pair for pair in compared if not sure.issuperset(pair)]
     if not searched:
@@ -161,40 +161,44 @@ def find_clocks(
         zip(searched, generators, strict=True),
     )
     found = given | dict(zip(searched, rotated, strict=True))
-    timing = find_timing(Agreements.of(len(views), _compare(views, found), window))
-    values, timing = _align(views, found, timing, window)
+    best = _align(views, found, find_timing(_compare(views, found, window)), window)
     if given:
         # bodies of a gait also match half a cycle apart, under rotations that are turned by 180 deg
-        near = _align(views, given, as_calibrated, window)
-        gain = _along_maps(values, timing, given) - _along_maps(*near, given)
+        gain = _along_maps(*best, given) - _along_maps(*near, given)
         if evidence(gain, np.isfinite(gain)) < DECISIVE_NATS:
-            values, timing = near
-    agreements = Agreements.of(len(views), values, window)
-    return _cameras(recording.names, numbers, agreements, timing)
+            best = near
+    return describe_clocks(recording.names, numbers, *best)
 
 
-def _compare(views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats]) -> dict[Pair, Singles]:
-    """Return the agreement `[stretch, frame, frame]` of pairs under rotations b_from_a."""
-    return {(a, b): agreement(views[a], views[b], turn) for (a, b), turn in rotations.items()}
+def _compare(
+    views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats], window: int
+) -> Agreements:
+    """Return the agreement of pairs under rotations b_from_a."""
+    measured = {(a, b): agreement(views[a], views[b], turn) for (a, b), turn in rotations.items()}
+    return Agreements(len(views), measured, window)
 
 
 def _align(
     views: Sequence[ViewInTime], rotations: Mapping[Pair, Floats], timing: Timing, window: int
-) -> tuple[dict[Pair, Singles], Timing]:
+) -> tuple[Agreements, Timing]:
     """Return the agreement of pairs and the maps, with the rotations aligned at a first timing."""
     aligned = {
         (a, b): align_at(views[a], views[b], turn, timing.maps[a], timing.maps[b])
         for (a, b), turn in rotations.items()
     }
-    values = _compare(views, aligned)
-    return values, find_timing(Agreements.of(len(views), values, window))
+    agreements = _compare(views, aligned, window)
+    return agreements, find_timing(agreements)
 
 
-def _along_maps(values: Mapping[Pair, Singles], timing: Timing, pairs: Iterable[Pair]) -> Floats:
+def _along_maps(agreements: Agreements, timing: Timing, pairs: Iterable[Pair]) -> Floats:
     """Return the mean agreement `[stretch, frame]` of pairs at the times of the maps."""
     own, stretch = timing.maps, np.arange(timing.maps.shape[1])[:, None]
     found = [
-        np.where((own[a] >= 0) & (own[b] >= 0), values[a, b][stretch, own[a], own[b]], np.nan)
+        np.where(
+            (own[a] >= 0) & (own[b] >= 0),
+            agreements.measured[a, b][stretch, own[a], own[b]],
+            np.nan,
+        )
         for a, b in pairs
     ]
     return mean_of_known(np.stack(found), 0)
@@ -212,47 +216,15 @@ def refine_clocks(
         rig = group.adjusted.rig
         values = agreement_of_rays(group.recording, rig, group.matches, stretches, window)
         if values:
-            agreements = Agreements.of(len(rig), values, window)
+            agreements = Agreements(len(rig), values, window)
             timing = find_timing(agreements, constant=True)
-            for found in _cameras(rig.names, numbers, agreements, timing):
+            for found in describe_clocks(rig.names, numbers, agreements, timing):
                 before = cameras[found.camera]
                 # one frame names no camera: the estimate of parts of a frame is finer
                 finer = abs(found.offset) <= usual_step(group.recording.frames)
                 if before.differs or not (found.differs and finer):
                     cameras[found.camera] = combine_clocks(before, found)
     return tuple(cameras.values())
-
-
-def _cameras(
-    names: Sequence[str], numbers: Ints, agreements: Agreements, timing: Timing
-) -> tuple[CameraClock, ...]:
-    """Return the clock of each camera.
-
-    Cameras of which nothing decisive is found stay as they are. Then the others are judged again:
-    each must also differ from the cameras that stay.
-    """
-    stay = np.zeros(len(names), dtype=bool)
-    while True:
-        cameras = tuple(
-            describe_clock(
-                name,
-                timing,
-                view,
-                numbers,
-                weigh(agreements, timing, view),
-                window=agreements.window,
-            )
-            for view, name in enumerate(names)
-        )
-        differ = np.array([camera.differs for camera in cameras])
-        if (differ | stay).all() or not differ.any():
-            return cameras
-        stay = ~differ
-        synchronous = Timing.synchronous(agreements).maps
-        timing = Timing(
-            np.where(stay[:, None, None], synchronous, timing.maps),
-            np.where(stay, 1.0, timing.rates),
-        )
 
 
 def frame_numbers(recording: Recording, stretches: Ints) -> Ints:

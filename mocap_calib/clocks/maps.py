@@ -10,7 +10,8 @@ the spread of the agreement over blocks of time.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -29,34 +30,29 @@ LARGEST_STEP = 4  # frames that a camera may be ahead by at once, where the othe
 class Agreements:
     """The agreement of the pairs of so many views in any two frames.
 
-    values: (a, b) -> `[stretch, frame of a, frame of b]` in standard deviations over all pairs of
-        frames, 0 where nothing is known. window: frames by which a camera may be early or late.
+    measured: (a, b) -> `[stretch, frame of a, frame of b]`, NaN where nothing is known.
+    window: frames by which a camera may be early or late.
     """
 
     views: int
-    values: Mapping[Pair, Singles]
+    measured: Mapping[Pair, Singles]
     window: int
 
-    @classmethod
-    def of(cls, views: int, values: Mapping[Pair, Singles], window: int) -> "Agreements":
-        """Return agreements that are not yet in standard deviations; NaN where nothing is known."""
-        return cls(views, {pair: _standardise(each) for pair, each in values.items()}, window)
+    @cached_property
+    def values(self) -> Mapping[Pair, Singles]:
+        """Agreement in standard deviations from its median, 0 = not known; in both orders."""
+        forth = {pair: _standardise(each) for pair, each in self.measured.items()}
+        return forth | {(b, a): each.swapaxes(1, 2) for (a, b), each in forth.items()}
 
     @property
     def shape(self) -> tuple[int, int]:
         """Number of stretches, and of the frames of each."""
-        stretches, frames, _ = next(iter(self.values.values())).shape
+        stretches, frames, _ = next(iter(self.measured.values())).shape
         return stretches, frames
-
-    def between(self, view: int, other: int) -> Singles:
-        """Return `[stretch, frame of other, frame of view]`."""
-        if (other, view) in self.values:
-            return self.values[other, view]
-        return self.values[view, other].swapaxes(1, 2)
 
     def partners(self, view: int) -> list[int]:
         """Return the views that this one is compared with."""
-        return sorted({a + b - view for a, b in self.values if view in (a, b)})
+        return sorted(a + b - view for a, b in self.measured if view in (a, b))
 
 
 @dataclass(frozen=True)
@@ -71,10 +67,9 @@ class Timing:
     rates: Floats
 
     @classmethod
-    def synchronous(cls, agreements: Agreements) -> "Timing":
-        """Return the timing of frame numbers as they are."""
-        shape = (agreements.views, *agreements.shape)
-        return cls(np.broadcast_to(np.arange(shape[2]), shape), np.ones(shape[0]))
+    def synchronous(cls, views: int, shape: tuple[int, ...]) -> "Timing":
+        """Return the timing of frame numbers as they are; shape: stretches, frames of each."""
+        return cls(np.broadcast_to(np.arange(shape[1]), (views, *shape)), np.ones(views))
 
     def change(self, view: int, own: Ints, rate: float) -> "Timing":
         """Return the timing with another map `[stretch, frame]` of one camera."""
@@ -121,9 +116,9 @@ def _standardise(values: Singles) -> Singles:
     return np.where(np.isfinite(values), scaled, np.float32(0.0))
 
 
-def camera_table(
+def _offset_table(
     agreements: Agreements,
-    maps: Ints,
+    timing: Timing,
     view: int,
     rate: float,
     partners: Sequence[int],
@@ -134,23 +129,29 @@ def camera_table(
 
     At frame t of the common clock its own frame is rate t + offset, offsets from -window to window.
     """
-    time = np.arange(maps.shape[2])
+    time = np.arange(timing.maps.shape[2])
     exact = np.isclose(rate * time % 1, 0)
     first = np.round(rate * time).astype(np.int64) - window
     table = np.zeros((agreements.shape[0], len(time), 2 * window + 1))
     for other in partners:
-        row = np.where(exact, maps[other], -1)
-        kernels.add_windows(*contiguous(agreements.between(view, other), row, first), table)
+        row = np.where(exact, timing.maps[other], -1)
+        kernels.add_windows(*contiguous(agreements.values[other, view], row, first), table)
     return table
 
 
-def along_map(table: Floats, own: Ints, rate: float) -> tuple[Floats, Bools]:
-    """Return the agreement `[stretch, frame]` of a map in a table, and where it is known."""
-    time = np.arange(own.shape[1])
-    place = own - np.round(rate * time).astype(np.int64) + table.shape[2] // 2
-    shown = (own >= 0) & (place >= 0) & (place < table.shape[2])
-    index = np.where(shown, place, 0)[..., None]
-    return np.where(shown, np.take_along_axis(table, index, 2)[..., 0], 0.0), shown
+def agreement_along(
+    agreements: Agreements, maps: Ints, view: int, partners: Sequence[int]
+) -> Floats:
+    """Return the sum `[stretch, frame]` of the agreement of a camera with others at its map.
+
+    0 where its map has no frame. maps: `[view, stretch, frame]`, see `Timing`.
+    """
+    own, stretch = maps[view], np.arange(maps.shape[1])[:, None]
+    total = np.zeros(own.shape)
+    for other in partners:
+        values = agreements.values[view, other][stretch, own, maps[other]]
+        total += np.where((own >= 0) & (maps[other] >= 0), values, 0.0)
+    return total
 
 
 # The maps that agree best
@@ -172,7 +173,7 @@ def _constant_timing(agreements: Agreements) -> Timing:
 
     Each camera is placed beside those before it, then all are changed in turn.
     """
-    timing = Timing.synchronous(agreements)
+    timing = Timing.synchronous(agreements.views, agreements.shape)
     for view in range(agreements.views):
         placed = [other for other in agreements.partners(view) if other < view]
         timing = _at_best_constant(agreements, timing, view, 1.0, placed)
@@ -182,14 +183,13 @@ def _constant_timing(agreements: Agreements) -> Timing:
             timing = _at_best_constant(agreements, timing, view, 1.0, agreements.partners(view))
         if np.array_equal(before.maps, timing.maps):
             break
-    offsets = np.array(
-        [timing.offsets(view)[timing.maps[view] >= 0][0] for view in range(agreements.views)]
-    )
-    values, first, count = np.unique(offsets, return_index=True, return_counts=True)
-    common = values[np.lexsort((first, -count))[0]]
-    own = np.arange(agreements.shape[1]) + (offsets - common)[:, None, None]
-    own = np.where((own >= 0) & (own < agreements.shape[1]), own, -1)
-    return replace(timing, maps=np.broadcast_to(own, timing.maps.shape))
+    shown = timing.maps >= 0
+    offsets = [int(timing.offsets(view)[shown[view]][0]) for view in range(agreements.views)]
+    common = max(offsets, key=offsets.count)  # of equally many the first camera's
+    for view, offset in enumerate(offsets):
+        path = np.full(agreements.shape, offset - common)
+        timing = _with_path(agreements, timing, view, path, 1.0)
+    return timing
 
 
 def _at_best_constant(
@@ -197,7 +197,7 @@ def _at_best_constant(
 ) -> Timing:
     """Return the timing with one camera at a rate and at its best constant offset from partners."""
     window = max(0, min(2 * agreements.window, agreements.shape[1] - LEAST_FRAMES))
-    table = camera_table(agreements, timing.maps, view, rate, partners, window=window)
+    table = _offset_table(agreements, timing, view, rate, partners, window=window)
     if not table.any():
         return timing
     path = np.full(table.shape[:2], table.sum((0, 1)).argmax())
@@ -214,7 +214,7 @@ def _with_path(
     return timing.change(view, np.where(shown, own, -1), rate)
 
 
-Change = Callable[[Agreements, Timing, int], tuple[Timing, Floats]]
+Change = Callable[[Agreements, Timing, int, Sequence[int]], tuple[Timing, Floats]]
 
 
 def _improve(agreements: Agreements, timing: Timing, change: Change) -> Timing:
@@ -229,9 +229,10 @@ def _improve(agreements: Agreements, timing: Timing, change: Change) -> Timing:
     while left:
         gains = []
         for view in left:
-            before, known = _agreement(agreements, timing, view)
-            changed, after = change(agreements, timing, view)
-            known &= changed.maps[view] >= 0
+            partners = agreements.partners(view)
+            before = agreement_along(agreements, timing.maps, view, partners)
+            changed, after = change(agreements, timing, view, partners)
+            known = (timing.maps[view] >= 0) & (changed.maps[view] >= 0)
             if evidence(after - before, known) >= DECISIVE_NATS:
                 gains.append((float((after - before)[known].sum()), view, changed))
         if not gains:
@@ -241,36 +242,32 @@ def _improve(agreements: Agreements, timing: Timing, change: Change) -> Timing:
     return timing
 
 
-def _agreement(agreements: Agreements, timing: Timing, view: int) -> tuple[Floats, Bools]:
-    """Return the agreement `[stretch, frame]` of a camera with its partners; where it is known."""
-    rate, partners = float(timing.rates[view]), agreements.partners(view)
-    window = agreements.shape[1]
-    table = camera_table(agreements, timing.maps, view, rate, partners, window=window)
-    return along_map(table, timing.maps[view], rate)
-
-
-def _with_other_rate(agreements: Agreements, timing: Timing, view: int) -> tuple[Timing, Floats]:
+def _with_other_rate(
+    agreements: Agreements, timing: Timing, view: int, partners: Sequence[int]
+) -> tuple[Timing, Floats]:
     """Return the timing with one camera at the rate, other than 1, at which it agrees best."""
-    partners, found = agreements.partners(view), []
-    for rate in CLOCK_RATES:
-        if rate != 1.0:
-            changed = _at_best_constant(agreements, timing, view, rate, partners)
-            agreement, shown = _agreement(agreements, changed, view)
-            found.append((agreement.sum() / max(shown.sum(), 1), changed, agreement))
+    found = []
+    for rate in CLOCK_RATES[1:]:
+        changed = _at_best_constant(agreements, timing, view, rate, partners)
+        agreement = agreement_along(agreements, changed.maps, view, partners)
+        shown = np.count_nonzero(changed.maps[view] >= 0)
+        found.append((agreement.sum() / max(shown, 1), changed, agreement))
     _, changed, agreement = max(found, key=lambda each: each[0])
     return changed, agreement
 
 
-def _with_steps(agreements: Agreements, timing: Timing, view: int) -> tuple[Timing, Floats]:
+def _with_steps(
+    agreements: Agreements, timing: Timing, view: int, partners: Sequence[int]
+) -> tuple[Timing, Floats]:
     """Return the timing with the map of one camera that may have steps.
 
     A path bends to the noise of single frames: its agreement is that of paths found without the
     blocks of frames that they predict.
     """
-    rate, partners = float(timing.rates[view]), agreements.partners(view)
+    rate = float(timing.rates[view])
     # lost frames add up: in the end a clock may be off by more than at the beginning
     reach = min(2 * agreements.window, agreements.shape[1] // 2)
-    table = camera_table(agreements, timing.maps, view, rate, partners, window=reach)
+    table = _offset_table(agreements, timing, view, rate, partners, window=reach)
     path = follow_ridge(table, len(partners))
     held_out = np.zeros(table.shape[:2])
     block = np.arange(table.shape[1]) // _LEAST_BLOCK % 2
@@ -329,11 +326,14 @@ def weigh(agreements: Agreements, timing: Timing, view: int) -> dict[str, float]
     """
     witnesses = _witnesses(agreements, timing, view)
     own, rate = timing.maps[view], float(timing.rates[view])
-    table = camera_table(agreements, timing.maps, view, rate, witnesses, window=agreements.shape[1])
-    agreement, shown = along_map(table, own, rate)
+    shown = own >= 0
     if not witnesses or not shown.any():
         return {"score": 0.0, "gain": 0.0, "margin": 0.0, "partners": 0.0}
-    numbered = camera_table(agreements, timing.maps, view, 1.0, witnesses, window=0)[..., 0]
+    window = agreements.shape[1]
+    table = _offset_table(agreements, timing, view, rate, witnesses, window=window)
+    agreement = agreement_along(agreements, timing.maps, view, witnesses)
+    as_numbered = timing.change(view, np.broadcast_to(np.arange(window), own.shape), 1.0)
+    numbered = agreement_along(agreements, as_numbered.maps, view, witnesses)
     return {
         "score": float(agreement[shown].mean()) / len(witnesses),
         "gain": evidence(agreement - numbered, shown),
@@ -353,6 +353,40 @@ def _witnesses(agreements: Agreements, timing: Timing, view: int) -> list[int]:
         if not (known.any() and apart.mean() <= 1 and apart.mean() < late.mean()):
             found.append(other)
     return found
+
+
+def describe_clocks(
+    names: Sequence[str], numbers: Ints, agreements: Agreements, timing: Timing
+) -> tuple[CameraClock, ...]:
+    """Return the clock of each camera.
+
+    Cameras of which nothing decisive is found stay as they are. Then the others are judged again:
+    each must also differ from the cameras that stay.
+
+    numbers: `[stretch, frame]` of the frames, also of those that are not there.
+    """
+    stay = np.zeros(len(names), dtype=bool)
+    while True:
+        cameras = tuple(
+            describe_clock(
+                name,
+                timing,
+                view,
+                numbers,
+                weigh(agreements, timing, view),
+                window=agreements.window,
+            )
+            for view, name in enumerate(names)
+        )
+        differ = np.array([camera.differs for camera in cameras])
+        if (differ | stay).all() or not differ.any():
+            return cameras
+        stay = ~differ
+        synchronous = Timing.synchronous(len(names), agreements.shape).maps
+        timing = Timing(
+            np.where(stay[:, None, None], synchronous, timing.maps),
+            np.where(stay, 1.0, timing.rates),
+        )
 
 
 def describe_clock(
@@ -378,7 +412,7 @@ def describe_clock(
         return CameraClock(camera, "in step" if sure else "not known", evidence=found)
     if not (found["gain"] >= DECISIVE_NATS and (sure or not constant) and within):
         return CameraClock(camera, "not known", evidence=found)
-    table = _table(offset, known, rate, numbers)
+    table = _table(timing, view, numbers)
     kind: ClockKind = "clock" if constant else "dropped"
     if rate != 1.0 or (not constant and _is_linear(offset, known)):
         kind = "rate"
@@ -400,20 +434,15 @@ def _is_linear(offset: Ints, known: Bools) -> bool:
     return True
 
 
-def _table(offset: Ints, known: Bools, rate: float, numbers: Ints) -> tuple[tuple[int, int], ...]:
+def _table(timing: Timing, view: int, numbers: Ints) -> tuple[tuple[int, int], ...]:
     """Return (frame, offset): the frame of the common clock from which on each offset holds."""
-    rows: list[tuple[int, int]] = []
-    for part, of, number in zip(offset, known, numbers, strict=True):
-        time = np.flatnonzero(of)
-        if not len(time):
-            continue
-        begins = np.r_[True, np.diff(part[time]) != 0]
-        for index in time[begins]:
-            # the rate is counted from the first frame of the table
-            frame, step = int(number[index]), int(number[1] - number[0])
-            origin = rows[0][0] if rows else frame
-            own = int(number[0] + step * (np.round(rate * index) + part[index]))
-            counted = origin + round((frame - origin) * rate)
-            if not rows or rows[-1][1] != own - counted:
-                rows.append((frame, own - counted))
-    return tuple(rows)
+    own, rate = timing.maps[view], timing.rates[view]
+    stretch, _ = np.nonzero(own >= 0)
+    changes = np.diff(stretch) | np.diff(timing.offsets(view)[own >= 0])
+    begins = np.append(True, changes != 0)
+    frame = numbers[own >= 0][begins]
+    shown = (numbers[:, :1] + (numbers[0, 1] - numbers[0, 0]) * own)[own >= 0][begins]
+    # the rate is counted from the first frame of the table
+    late = shown - frame[0] - np.round((frame - frame[0]) * rate).astype(np.int64)
+    kept = np.append(True, np.diff(late) != 0)
+    return tuple(zip(frame[kept].tolist(), late[kept].tolist(), strict=True))

@@ -248,8 +248,8 @@ def test_compiled_paths_are_those_of_numpy(price):
 
 def test_a_camera_that_is_compared_with_none_has_no_evidence():
     """Its agreement is 0, not the mean of nothing (which warns, and is NaN)."""
-    agreements = Agreements(views=3, values={(0, 1): np.ones((1, 9, 9), np.float32)}, window=2)
-    found = weigh(agreements, Timing.synchronous(agreements), 2)
+    agreements = Agreements(views=3, measured={(0, 1): np.ones((1, 9, 9), np.float32)}, window=2)
+    found = weigh(agreements, Timing.synchronous(3, (1, 9)), 2)
     assert not any(found.values())
 
 
@@ -291,7 +291,7 @@ def test_cameras_that_differ_alike_do_not_vouch_for_each_other():
     """Two cameras agree, and so do two others, but nothing compares the two pairs."""
     time = np.arange(40)
     agree = np.eye(40, dtype=np.float32)[None]
-    agreements = Agreements(views=4, values={(0, 1): agree, (2, 3): agree}, window=5)
+    agreements = Agreements(views=4, measured={(0, 1): agree, (2, 3): agree}, window=5)
     late = np.where(time + 3 < 40, time + 3, -1)
     found = weigh(agreements, timing_of(time, time, late, late), 2)
     assert found["partners"] == found["score"] == 0

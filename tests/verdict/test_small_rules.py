@@ -10,7 +10,7 @@ from scipy.linalg import null_space
 from mocap_calib.adjust import refine
 from mocap_calib.adjust.covariance import _inverse_at_size
 from mocap_calib.adjust.problem import free_intrinsics
-from mocap_calib.clocks.maps import along_map
+from mocap_calib.clocks.maps import agreement_along
 from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import nearest_rotation
@@ -42,13 +42,13 @@ def test_the_share_of_the_matched_counts_whoever_is_named():
     np.testing.assert_allclose(share, [3 / 6, 5 / 5])
 
 
-def test_a_table_says_of_a_map_what_stands_at_its_offset():
-    """Offsets from -2 to 2; frame 3 is lost, and frame 5 is out of reach."""
-    table = np.arange(30.0).reshape(1, 6, 5)
-    own = np.array([[0, 2, 1, -1, 6, 9]])
-    values, shown = along_map(table, own, 1.0)
-    assert shown.tolist() == [[True, True, True, False, True, False]]
-    assert values.tolist() == [[2.0, 8.0, 11.0, 0.0, 24.0, 0.0]]
+def test_agreement_along_maps_is_that_of_the_frames_that_they_show():
+    """Of two partners; one shows nothing in the third frame, the camera nothing in the last."""
+    values = np.arange(16.0, dtype=np.float32).reshape(1, 4, 4)
+    agreements = SimpleNamespace(values={(0, 1): values, (0, 2): 100 * values})
+    maps = np.array([[0, 2, 3, -1], [0, 1, -1, 2], [1, 2, 3, 3]])[:, None]
+    found = agreement_along(agreements, maps, 0, [1, 2])
+    assert found.tolist() == [[0 + 100, 9 + 1000, 1500, 0]]
 
 
 def test_the_inverse_at_a_size_is_that_of_all_that_leaves_it():
