@@ -9,16 +9,18 @@ Where the rotation is not known, it is searched for with the time left open: can
 of alike shape at any two times, and a rotation scores by the best diagonal in each block of time.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_calib.config import CLOCK_RATES, PairwiseConfig
+from mocap_calib.config import CLOCK_RATES, AdjustConfig, PairwiseConfig
 from mocap_calib.geometry.rotation import nearest_rotation, skew
 from mocap_calib.kernels import clocks as kernels
 from mocap_calib.kernels.jit import contiguous
-from mocap_calib.pairs.search import well_separated
+from mocap_calib.pairs.solve import CELLS, well_separated
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.rig import gather_tracks
@@ -31,9 +33,6 @@ LEAST_FRAMES = 20  # that both views see: fewer agree by chance
 POSE_TOLERANCE = PairwiseConfig.pose_tolerance
 _AXES = 10  # of the bodies' joints that are compared: bodies differ in few ways
 BLOCK_FRAMES = 30  # of a block of time, which has an offset of its own in the search
-_CELLS = 500_000  # pairs of bodies compared at a time, as many as the cache of a processor holds
-_LOSS_SCALE = 1.5  # median distances of rays, at which the loss turns
-_ABSENT = np.float32(-1e6)  # how alike a body is to one that is not there
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,44 @@ class ViewInTime:
 
     body: Singles
     seen: Bools
+
+
+@dataclass(frozen=True)
+class Agreements:
+    """The agreement of the pairs of so many views in any two frames.
+
+    measured: (a, b) -> `[stretch, frame of a, frame of b]`, NaN where nothing is known.
+    window: frames by which a camera may be early or late.
+    """
+
+    views: int
+    measured: Mapping[Pair, Singles]
+    window: int
+
+    @cached_property
+    def values(self) -> Mapping[Pair, Singles]:
+        """Agreement in standard deviations from its median, 0 = not known; in both orders."""
+        forth = {pair: _standardise(each) for pair, each in self.measured.items()}
+        return forth | {(b, a): each.swapaxes(1, 2) for (a, b), each in forth.items()}
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of stretches, and of the frames of each."""
+        stretches, frames, _ = next(iter(self.measured.values())).shape
+        return stretches, frames
+
+    def partners(self, view: int) -> list[int]:
+        """Return the views that this one is compared with."""
+        return sorted(a + b - view for a, b in self.measured if view in (a, b))
+
+
+def _standardise(values: Singles) -> Singles:
+    """Return agreement in standard deviations from its median, 0 = not known."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return np.zeros_like(values)
+    scaled = (values - np.median(known)) / max(float(known.std()), 1e-3)
+    return np.where(np.isfinite(values), scaled, np.float32(0.0))
 
 
 def views_in_time(lifted: LiftedPoses, stretches: Ints) -> list[ViewInTime]:
@@ -67,16 +104,17 @@ def views_in_time(lifted: LiftedPoses, stretches: Ints) -> list[ViewInTime]:
     seen_first: Bools = np.take_along_axis(seen, first, 2)
     compact = np.take_along_axis(compact, first[..., None, None], 2).astype(np.float32)
     return [
-        _without_crowd(ViewInTime(of_view[row], seen_by[row] & ~missing[..., None]))
+        _view_in_time(of_view[row], seen_by[row] & ~missing[..., None])
         for of_view, seen_by in zip(compact, seen_first, strict=True)
     ]
 
 
-def _without_crowd(view: ViewInTime) -> ViewInTime:
+def _view_in_time(body: Singles, seen: Bools) -> ViewInTime:
     """Return the view with as many instances as 95 % of its frames have, the first ones."""
-    several = view.seen.sum(-1)[view.seen.any(-1)]
+    several = seen.sum(-1)[seen.any(-1)]
     count = max(1, int(np.quantile(several, 0.95))) if len(several) else 1
-    return ViewInTime(view.body[:, :, :count], view.seen[:, :, :count])
+    body = np.where(seen[..., None, None], body, np.float32(0.0))
+    return ViewInTime(body[:, :, :count], seen[:, :, :count])
 
 
 def compared_pairs(views: int) -> list[Pair]:
@@ -108,7 +146,13 @@ def search_rotation(a: ViewInTime, b: ViewInTime, window: int, rng: np.random.Ge
     rotation = _candidates(a, b, rng)
     rows = _some_frames(a, bodies=60)
     best = _score_at_any_time(a, b, rotation, rows, window).max(1)
-    refined = rotation[well_separated(rotation, best, count=3, separation_deg=15.0)]
+    distinct = well_separated(
+        rotation,
+        best,
+        count=PairwiseConfig.hypotheses_refined,
+        separation_deg=PairwiseConfig.separation_deg,
+    )
+    refined = rotation[distinct]
     rows = _some_frames(a, bodies=200)
     for _ in range(3):
         rates = _score_at_any_time(a, b, refined, rows, window).argmax(1)
@@ -130,10 +174,9 @@ def _agreement(a: ViewInTime, b: ViewInTime, rotation: Floats, rows: Ints) -> Si
     rotation: `[hypothesis, 3, 3]` b_from_a. rows: `[row]` frames of a.
     """
     seen_a = a.seen[:, rows]
-    turned = _mark(_turn(a.body[:, rows], rotation), seen_a.swapaxes(1, 2), first=True)
-    other = _mark(_flatten(b.body).swapaxes(1, 2), b.seen.swapaxes(1, 2), first=False)
-    other = np.ascontiguousarray(other.swapaxes(2, 3))  # [stretch, instance, number, frame]
-    other = np.moveaxis(other, 1, 0)[:, None]
+    turned = _turn(a.body[:, rows], rotation)
+    other = np.moveaxis(_flatten(b.body), (2, 1), (0, 3))[:, None]  # absent bodies are like none
+    other = np.ascontiguousarray(other)  # [instance, 1, stretch, number, frame]
     best_of_b: Singles = turned[:, :, 0] @ other  # [instance of b, hypothesis, stretch, row, frame]
     total = _likeness(best_of_b.max(0))
     for i in range(1, turned.shape[2]):
@@ -148,16 +191,6 @@ def _agreement(a: ViewInTime, b: ViewInTime, rotation: Floats, rows: Ints) -> Si
     count_a, count_b = seen_a.sum(-1)[..., None], b.seen.sum(-1)[:, None]
     total /= np.maximum(count_a + count_b, 1).astype(np.float32)
     return np.where((count_a > 0) & (count_b > 0), total, np.float32(np.nan))
-
-
-def _mark(body: Singles, seen: Bools, *, first: bool) -> Singles:
-    """Return bodies `[..., instance, frame, 3 axis]` with two more numbers each.
-
-    The product of two of them is that of the bodies, and `_ABSENT` or less where one is missing.
-    """
-    here = np.broadcast_to(np.where(seen, np.float32(0.0), _ABSENT), body.shape[:-1])
-    marks = (here, np.ones_like(here))
-    return np.concatenate([body, np.stack(marks if first else marks[::-1], axis=-1)], axis=-1)
 
 
 def _turn(body: Singles, rotation: Floats) -> Singles:
@@ -207,7 +240,7 @@ def _score_at_any_time(
     a: ViewInTime, b: ViewInTime, rotation: Floats, rows: Ints, window: int
 ) -> Floats:
     """Return the mean agreement `[hypothesis, rate]` of blocks of time, each at its best offset."""
-    each = max(1, _CELLS // max(len(rows) * b.seen.size, 1))
+    each = max(1, CELLS // max(len(rows) * b.seen.size, 1))
     scores = []
     for start in range(0, len(rotation), each):
         values = _agreement(a, b, rotation[start : start + each], rows)
@@ -301,7 +334,8 @@ def agreement_of_rays(
     }
     angles = {pair: _synchronous_angles(*each) for pair, each in planes.items()}
     known = [pair for pair, each in angles.items() if len(each)]
-    scale = _LOSS_SCALE * float(np.median([np.median(angles[pair]) for pair in known] or 1.0))
+    usual = float(np.median([np.median(angles[pair]) for pair in known] or 1.0))
+    scale = AdjustConfig.loss_scales[-1] * usual
     time = np.arange(stretches.shape[1])[:, None]
     column = time + np.arange(-window, window + 1)
     row, offset = np.nonzero((column >= 0) & (column < len(time)))

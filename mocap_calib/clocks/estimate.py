@@ -15,6 +15,7 @@ import numpy as np
 
 from mocap_calib.clocks.compare import (
     LEAST_FRAMES,
+    Agreements,
     Pair,
     ViewInTime,
     agreement,
@@ -25,7 +26,6 @@ from mocap_calib.clocks.compare import (
     views_in_time,
 )
 from mocap_calib.clocks.maps import (
-    Agreements,
     Timing,
     describe_clocks,
     evidence,
@@ -56,7 +56,6 @@ from mocap_calib.types import (
 T = TypeVar("T")  # what is observed of a recording
 Calibrate = Callable[[Recording, T | None], tuple[T, CalibrationResult]]
 _ROUNDS = 4  # of calibrating again on refined clocks
-_REACH = 15  # frames: offsets that are compared by a rig, early and late
 
 
 def estimate_clocks(
@@ -98,20 +97,14 @@ def calibrate_on_clocks(
     calibrate: of a recording, and what was observed of it, None where it is to be observed.
     observed: of the recording as it is.
     """
-    if config.mode == "check":
-        calibrated = calibrate(recording, observed)
-        if not any(camera.differs for camera in cameras):
-            cameras = refine_clocks(calibrated[1].groups, cameras, config)
-        return calibrated, Clocks.of_one(recording, cameras)
-    clocks = clocks_from(recording, cameras)
+    apply = Clocks.of_one if config.mode == "check" else clocks_from
+    clocks = apply(recording, cameras)
     calibrated = calibrate(retime(recording, clocks), None if clocks.changed else observed)
-    if config.mode == "off":
-        return calibrated, clocks
-    for _ in range(_ROUNDS):
-        before, clocks = (
-            clocks,
-            clocks_from(recording, refine_clocks(calibrated[1].groups, clocks.cameras, config)),
-        )
+    # a rig of clocks that differ and are not applied refines none
+    refines = config.mode == "auto" or not any(camera.differs for camera in cameras)
+    for _ in range(_ROUNDS if refines and config.mode != "off" else 0):
+        before = clocks
+        clocks = apply(recording, refine_clocks(calibrated[1].groups, before.cameras, config))
         same = np.array_equal(before.frames, clocks.frames)
         if same and np.array_equal(before.source, clocks.source):
             break
@@ -212,7 +205,8 @@ def refine_clocks(
     for group in groups:
         stretches = choose_stretches(group.recording, config)
         numbers = frame_numbers(group.recording, stretches)
-        window = min(config.window, stretches.shape[1] // 3, _REACH)
+        # a rig on clocks that are nearly right: it shows how far they are off
+        window = min(config.window // 4, stretches.shape[1] // 3)
         rig = group.adjusted.rig
         values = agreement_of_rays(group.recording, rig, group.matches, stretches, window)
         if values:

@@ -11,11 +11,10 @@ the spread of the agreement over blocks of time.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from mocap_calib.clocks.compare import LEAST_FRAMES, Pair, Singles
+from mocap_calib.clocks.compare import LEAST_FRAMES, Agreements
 from mocap_calib.config import CLOCK_RATES, DECISIVE_NATS, UncertaintyConfig
 from mocap_calib.kernels import clocks as kernels
 from mocap_calib.kernels.jit import contiguous
@@ -23,36 +22,6 @@ from mocap_calib.types import Bools, CameraClock, ClockKind, Floats, Ints
 
 _LEAST_BLOCK = 5  # frames
 _STEP_PENALTY = 3.0  # of a step of a map, in standard deviations of the agreement of a pair
-LARGEST_STEP = 4  # frames that a camera may be ahead by at once, where the others lost so many
-
-
-@dataclass(frozen=True)
-class Agreements:
-    """The agreement of the pairs of so many views in any two frames.
-
-    measured: (a, b) -> `[stretch, frame of a, frame of b]`, NaN where nothing is known.
-    window: frames by which a camera may be early or late.
-    """
-
-    views: int
-    measured: Mapping[Pair, Singles]
-    window: int
-
-    @cached_property
-    def values(self) -> Mapping[Pair, Singles]:
-        """Agreement in standard deviations from its median, 0 = not known; in both orders."""
-        forth = {pair: _standardise(each) for pair, each in self.measured.items()}
-        return forth | {(b, a): each.swapaxes(1, 2) for (a, b), each in forth.items()}
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Number of stretches, and of the frames of each."""
-        stretches, frames, _ = next(iter(self.measured.values())).shape
-        return stretches, frames
-
-    def partners(self, view: int) -> list[int]:
-        """Return the views that this one is compared with."""
-        return sorted(a + b - view for a, b in self.measured if view in (a, b))
 
 
 @dataclass(frozen=True)
@@ -105,15 +74,6 @@ def time_blocks(frames: int) -> Ints:
     """
     count = min(UncertaintyConfig.time_blocks, frames // _LEAST_BLOCK)
     return np.arange(frames) * count // max(frames, 1)
-
-
-def _standardise(values: Singles) -> Singles:
-    """Return agreement in standard deviations from its median, 0 = not known."""
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return np.zeros_like(values)
-    scaled = (values - np.median(known)) / max(float(known.std()), 1e-3)
-    return np.where(np.isfinite(values), scaled, np.float32(0.0))
 
 
 def _offset_table(
@@ -282,15 +242,14 @@ def follow_ridge(table: Floats, partners: int) -> Ints:
     """Return the index of an offset `[stretch, frame]` for each frame, which seldom changes.
 
     It maximises the agreement less a penalty for each step (Viterbi's algorithm). A camera that
-    lost frames falls behind by one of its frames at a time, as it never shows an earlier one again;
-    where the others lost some, it is ahead by several at once.
+    lost frames is ahead by each of them, and behind where the others lost some: a step at a time.
 
     table: `[stretch, frame, offset]`, the sum over so many partners, which err alike.
     """
     paths = np.empty(table.shape[:2], dtype=np.int64)
     price = _STEP_PENALTY * np.sqrt(partners)
     for part, path in zip(contiguous(*table), paths, strict=True):
-        kernels.follow(part, price, LARGEST_STEP, path)
+        kernels.follow(part, price, path)
     return paths
 
 

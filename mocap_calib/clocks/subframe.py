@@ -19,7 +19,7 @@ from mocap_calib.adjust.covariance import find_covariance
 from mocap_calib.adjust.problem import Problem, free_clocks, problem_of_frames
 from mocap_calib.adjust.residuals import State, TimedRayResiduals, motion_between
 from mocap_calib.adjust.solve import minimise, optimise_points
-from mocap_calib.config import Config, TriangulateConfig
+from mocap_calib.config import TYPICAL_PERCENTILE, Config, TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.mapped import frame_slices
@@ -29,7 +29,6 @@ from mocap_calib.rig import Observed, Tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
-_USUAL_SHARE = 0.98  # of the motions of points, the smaller ones
 _POINTS = 12_000  # that an estimate takes
 _STRETCH = 10  # frames that follow each other, of which the points come
 # 1 = points move without jerks, 0 = as frames of different times would have them. Recordings of
@@ -270,6 +269,6 @@ def smoothness(before: Floats, points: Floats, after: Floats) -> float:
     aside = ((points - (after + before) / 2) ** 2).sum(0)
     if not len(along):
         return 0.0
-    usual = along + aside <= np.quantile(along + aside, _USUAL_SHARE)
+    usual = along + aside <= np.percentile(along + aside, TYPICAL_PERCENTILE)
     total = along[usual].sum()
     return float(1 - aside[usual].sum() / (3 * total)) if total > 0 else 0.0

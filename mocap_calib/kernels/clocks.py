@@ -9,12 +9,9 @@ from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats, Ints
 
 
-@kernel("f8[:,::1], f8, i8, i8[::1]")
-def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
-    """Set the path `[frame]` through a table `[frame, offset]`, as of `clocks.maps`.
-
-    largest_step: by which a camera is ahead at once.
-    """
+@kernel("f8[:,::1], f8, i8[::1]")
+def follow(table: Floats, price: float, path: Ints) -> None:
+    """Set the path `[frame]` through a table `[frame, offset]`, as of `clocks.maps`."""
     frames, offsets = table.shape
     origin = np.empty((frames, offsets), dtype=np.int32)
     total, before = np.empty(offsets), np.empty(offsets)
@@ -23,12 +20,9 @@ def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
         before[:] = total
         for k in range(offsets):
             best, value = k, before[k]
-            # in the order in which equal ones are preferred: one on, then one back, two back ...
-            for step in range(largest_step + 1):
-                source = min(k + 1, offsets - 1) if step == 0 else max(k - step, 0)
-                reached = before[source] - price
-                if reached > value:
-                    best, value = source, reached
+            for source in (min(k + 1, offsets - 1), max(k - 1, 0)):
+                if before[source] - price > value:
+                    best, value = source, before[source] - price
             origin[frame, k] = best
             total[k] = value + table[frame, k]
     best = 0

@@ -1,4 +1,4 @@
-"""Affinity of the detections of two views under relative poses, and the matches that follow.
+"""Affinity of the detections of two views under relative poses, matches, scores and refinement.
 
 By lifted bodies, turned into the other view; by their centres; and by epipolar geometry. Lengths
 are in body sizes and image errors are measured at the body (an angle times the distance of the
@@ -7,15 +7,23 @@ body), so that one tolerance serves scenes of any size.
 M relative poses are evaluated at once; a frame holds I instances in view a and J in view b.
 """
 
+from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
-from mocap_calib.kernels.association import fit_all_views, fit_hypotheses
+from mocap_calib.kernels import pair_refinement
+from mocap_calib.kernels.association import fit_all_views, fit_hypotheses, share_in_front
 from mocap_calib.kernels.jit import contiguous
-from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
+from mocap_calib.pairs.view_pair import (
+    ViewPair,
+    body_sizes_per_radian,
+    in_blocks,
+    matched_rays,
+)
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
 
 
@@ -226,3 +234,122 @@ def _essential_matrices(rig: CameraRig) -> Floats:
     matrices[a, b] = essential_matrix(rotation, translation / length)
     matrices[b, a] = np.swapaxes(matrices[a, b], 1, 2)
     return matrices
+
+
+# Relative poses, scored and refined
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """M hypotheses of the relative pose b_from_a of one pair of views, with matches and scores.
+
+    rotation: `[M, 3, 3]`.
+    translation: `[M, 3]` in body sizes.
+    source: `[M]` method that found each ("lifted", "five-point", ...).
+    matched: `[M, frame, I, J]` matches under each hypothesis.
+    score: `[M]` in 0..1, see `score_hypotheses`.
+    in_front: `[M]` in 0..1, share of the matched joints in front of both cameras.
+    """
+
+    rotation: Floats
+    translation: Floats
+    source: NDArray[np.str_]
+    matched: Bools
+    score: Floats
+    in_front: Floats
+
+    def __getitem__(self, index: Ints) -> "Hypotheses":
+        return Hypotheses(*(each[index] for each in vars(self).values()))
+
+
+def score_hypotheses(
+    pair: ViewPair,
+    rotation: Floats,
+    translation: Floats,
+    source: NDArray[np.str_],
+    config: PairwiseConfig,
+) -> Hypotheses:
+    """Match the detections under each hypothesis, and score it by its matches.
+
+    The pair score is the share of the possible matches that are made, each weighted by the share
+    of its joints that fit the epipolar geometry, x the share of joints in front of both cameras
+    x the square root of the mean agreement of the lifted poses, by which bodies count as much as
+    in the affinity of a match: rays are measured, bodies are predicted from the same keypoints.
+    """
+    affinity, fit, pose = match_affinity(pair, rotation, translation, config)
+    matched = mutual_best(affinity)
+    in_front = np.zeros(len(rotation))
+    of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
+    share_in_front(*contiguous(rotation, translation, *of_views, matched), in_front)
+    possible = np.minimum(pair.a.present.sum(-1), pair.b.present.sum(-1)).sum()
+    explained = (matched * fit).sum((1, 2, 3)) / max(possible, 1)
+    agreement = (matched * pose).sum((1, 2, 3)) / np.maximum(matched.sum((1, 2, 3)), 1)
+    score = explained * in_front * np.sqrt(agreement)
+    return Hypotheses(rotation, translation, source, matched, score, in_front)
+
+
+def refine_hypotheses(pair: ViewPair, found: Hypotheses, config: PairwiseConfig) -> Hypotheses:
+    """Refine each hypothesis on its matches; keep the step where the score does not fall."""
+    rays = [matched_rays(pair, matched) for matched in found.matched]
+    size = max(map(len, rays))
+    if size == 0:
+        return found
+    sums = [
+        _body_sums(pair, *each, config) for each in zip(found.rotation, found.matched, strict=True)
+    ]
+    rotation, translation = refine_poses(
+        found.rotation,
+        found.translation,
+        config,
+        rays=np.stack([in_blocks(of_one, size) for of_one in rays]),
+        cross=np.stack([cross for cross, _ in sums]),
+        inertia=np.array([inertia for _, inertia in sums]),
+    )
+    refined = score_hypotheses(pair, rotation, translation, found.source, config)
+    both = zip(vars(found).values(), vars(refined).values(), strict=True)
+    joined = Hypotheses(*(np.concatenate(each) for each in both))
+    each = np.arange(len(rays))
+    return joined[each + len(rays) * (refined.score >= found.score)]
+
+
+def _body_sums(
+    pair: ViewPair, rotation: Floats, matched: Bools, config: PairwiseConfig
+) -> tuple[Floats, float]:
+    """Return sum w X_a X_b' `[3, 3]` and sum w (|X_a|^2 + |X_b|^2) / 2 over lifted matches.
+
+    They weigh the distance of a body, of three coordinates, against the error of a ray. The errors
+    of lifted bodies are alike: n of them have the information of n / (1 + n / 2).
+    rotation: `[3, 3]`; matched: `[frame, I, J]`.
+    """
+    lifted = matched & (pair.lifted > 0)
+    if not lifted.any():
+        return np.zeros((3, 3)), 0.0
+    share = 3 / (1 + lifted.sum() / 2)
+    weight = share * config.inlier**2 / pose_variance(pair, config)[lifted]
+    cross = np.einsum("n,nij->ij", weight, nearest_reading(pair, rotation, lifted))
+    return cross, float(weight @ pair.norm[lifted] / 2)
+
+
+def refine_poses(
+    rotation: Floats,
+    translation: Floats,
+    config: PairwiseConfig,
+    *,
+    rays: Floats,
+    cross: Floats,
+    inertia: Floats,
+) -> tuple[Floats, Floats]:
+    """Minimise Sampson's error at the body, and the distance of bodies, over R and direction of t.
+
+    Gauss-Newton under a Geman-McClure loss that tightens in the first steps, as graduated
+    non-convexity does (Black and Rangarajan 1996). The length of t stays.
+
+    rotation: `[M, 3, 3]`; translation: `[M, 3]`; rays: `[M, block, 8, LANES]`; cross: `[M, 3, 3]`
+    and inertia: `[M]` of the bodies. Returns R `[M, 3, 3]` and t `[M, 3]`.
+    """
+    length = np.linalg.norm(translation, axis=-1, keepdims=True)
+    direction = translation / np.maximum(length, 1e-12)
+    widths = config.inlier * np.array(config.loss_widths)
+    rotation = rotation.copy()
+    pair_refinement.refine(rotation, direction, *contiguous(rays, cross, inertia, widths))
+    return rotation, direction * length

@@ -8,30 +8,35 @@ best score is the answer, the others are its alternatives, which a third view ma
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.geometry.epipolar import sampson_angle
-from mocap_calib.pairs.affinity import unit_essential_matrix
-from mocap_calib.pairs.search import (
+from mocap_calib.geometry.epipolar import five_point, sampson_angle
+from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.pairs.affinity import (
     Hypotheses,
+    body_agreement,
+    mutual_best,
+    nearest_reading,
     refine_hypotheses,
     score_hypotheses,
-    search_hypotheses,
-    well_separated,
+    unit_essential_matrix,
 )
 from mocap_calib.pairs.view_pair import (
     ViewPair,
+    body_sizes_per_radian,
     distance_ratios,
     gather_view_pair,
     matched_rays,
 )
 from mocap_calib.results import LiftedPoses, PairwiseCalibration
 from mocap_calib.types import Bools, Floats, Ints, Mapper, Progress, Sample
+
+CELLS = 500_000  # pairs of bodies compared at a time, as many as the cache of a processor holds
 
 PairSolver = Callable[[ViewPair], PairwiseCalibration | None]
 
@@ -131,6 +136,151 @@ def calibrate_pair(pair: ViewPair, config: PairwiseConfig) -> PairwiseCalibratio
         found = found[distinct]
     best, *alternatives = (_calibration(pair, found, k) for k in range(len(found.score)))
     return replace(best, alternatives=tuple(alternatives))
+
+
+# The search
+
+
+def search_hypotheses(pair: ViewPair, config: PairwiseConfig) -> Hypotheses:
+    """Return relative poses from the lifted bodies, and those of five points; there may be none."""
+    rotation, translation = _search_bodies(pair, config)
+    lifted = len(rotation)
+    for matches in _known_identities(pair, config):
+        for turn, shift in _from_five_points(pair, matches, config):
+            rotation = np.concatenate([rotation, turn[None]])
+            translation = np.concatenate([translation, shift[None]])
+    source = np.where(np.arange(len(rotation)) < lifted, "lifted", "five-point")
+    return score_hypotheses(pair, rotation, translation, source, config)
+
+
+def well_separated(rotation: Floats, score: Floats, *, count: int, separation_deg: float) -> Ints:
+    """Return the indices of the best rotations that are so far apart, best first.
+
+    rotation: `[M, 3, 3]`; score: `[M]`. Returns at most `count` indices.
+    """
+    ranked = np.argsort(-score, kind="stable")
+    flat = rotation[ranked].reshape(-1, 9)
+    # tr(R_1 R_2') = 1 + 2 cos(angle)
+    apart = flat @ flat.T <= 1 + 2 * np.cos(np.deg2rad(separation_deg))
+    kept: list[int] = []
+    for k in range(len(ranked)):
+        if len(kept) < count and apart[k, kept].all():
+            kept.append(k)
+    return ranked[kept]
+
+
+def _search_bodies(pair: ViewPair, config: PairwiseConfig) -> tuple[Floats, Floats]:
+    """Return the relative poses of possible matches that agree best with all frames, aligned."""
+    rotation, translation = _candidates(pair, config)
+    best = well_separated(
+        rotation,
+        _total_agreement(pair, rotation, translation, config),
+        count=config.hypotheses_searched,
+        separation_deg=config.separation_deg,
+    )
+    rotation, translation = rotation[best], translation[best]
+    for _ in range(config.rounds):
+        rotation, translation = _align_bodies(pair, rotation, translation, config)
+    return rotation, translation
+
+
+def _candidates(pair: ViewPair, config: PairwiseConfig) -> tuple[Floats, Floats]:
+    """Return relative poses that align two lifted bodies each (Kabsch), none where none are.
+
+    Half of them are those whose bodies agree best, half are drawn at random; each reading of the
+    bodies gives its own.
+    """
+    frame, i, j = np.nonzero(pair.lifted)
+    cross = pair.cross[:, frame, i, j].reshape(-1, 3, 3)
+    frame, i, j = np.tile([frame, i, j], len(pair.cross))
+    rotation = nearest_rotation(np.swapaxes(cross, -1, -2))
+    error = pair.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, cross)
+    ranked = np.argsort(error, kind="stable")
+    half = config.candidates_searched // 2
+    picked = np.concatenate([ranked[:half], pair.rng.permutation(ranked[half:])[:half]])
+    rotation = rotation[picked]
+    centre_a = pair.a.centre[frame, i][picked]
+    centre_b = pair.b.centre[frame, j][picked]
+    return rotation, centre_b - np.einsum("nij,nj->ni", rotation, centre_a)
+
+
+def _total_agreement(
+    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
+) -> Floats:
+    """Return `[M]` the best agreement of each detection with one of the other view, summed."""
+    total = np.empty(len(rotation))
+    size = max(1, CELLS // pair.lifted.size)  # one crowded frame has many possible matches
+    for start in range(0, len(rotation), size):
+        some = slice(start, start + size)
+        agreement = body_agreement(pair, rotation[some], translation[some], config)
+        # `max` over a few numbers that lie side by side takes several times as long
+        of_a = reduce(np.maximum, np.moveaxis(agreement, -1, 0))
+        of_b = reduce(np.maximum, np.moveaxis(agreement, -2, 0))
+        total[some] = of_a.sum((-1, -2)) + of_b.sum((-1, -2))
+    return total
+
+
+def _align_bodies(
+    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
+) -> tuple[Floats, Floats]:
+    """Match the bodies under each hypothesis, and align the matched ones (weighted Procrustes).
+
+    Centres weigh less the farther they are: their error grows with the distance.
+    """
+    agreement = body_agreement(pair, rotation, translation, config)
+    rotation, translation = rotation.copy(), translation.copy()
+    for m, matched in enumerate(mutual_best(agreement)):
+        if not matched.any():
+            continue
+        frame, i, j = np.nonzero(matched)
+        weight = agreement[m, matched]
+        cross = np.einsum("n,nij->ji", weight, nearest_reading(pair, rotation[m], matched))
+        rotation[m] = nearest_rotation(cross + 1e-9 * rotation[m])
+        weight = weight / (pair.a.distance[frame, i] ** 2 + pair.b.distance[frame, j] ** 2)
+        gap = pair.b.centre[frame, j] - pair.a.centre[frame, i] @ rotation[m].T
+        translation[m] = weight @ gap / weight.sum()
+    return rotation, translation
+
+
+def _known_identities(pair: ViewPair, config: PairwiseConfig) -> list[Ints]:
+    """Return sets of matches `[match, 3]` (frame, i, j) of one individual in each view.
+
+    Each pair of tracks may be one; otherwise there is one set, of the frames with a single
+    subject, where half of the frames or more are such.
+    """
+    if pair.tracked:
+        together = pair.a.present[:, :, None] & pair.b.present[:, None]
+        rows, tracks = np.argwhere(together), np.argwhere(together.any(0))
+        return [rows[(rows[:, 1:] == each).all(1)] for each in tracks[: config.hypotheses_searched]]
+    alone = (pair.a.present.sum(1) == 1) & (pair.b.present.sum(1) == 1)
+    frames = np.flatnonzero(alone)
+    if 2 * len(frames) < len(pair.frames):
+        return []
+    i = pair.a.present[frames].argmax(1)
+    j = pair.b.present[frames].argmax(1)
+    return [np.column_stack([frames, i, j])]
+
+
+def _from_five_points(
+    pair: ViewPair, matches: Ints, config: PairwiseConfig
+) -> list[tuple[Floats, Floats]]:
+    """Run five-point RANSAC (Nister 2004) on matches `[match, 3]` of one individual.
+
+    Each of `config.five_point_draws` draws other matches, and halves the tolerance: a wide one
+    finds the noisy pose, a narrow one is not content with outliers that fit by chance.
+    """
+    found: list[tuple[Floats, Floats]] = []
+    for halvings in range(config.five_point_draws):
+        drawn = np.sort(pair.rng.permutation(len(matches))[: config.five_point_matches])
+        frame, i, j = matches[drawn].T
+        both = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
+        tolerance = config.inlier / float(np.median(body_sizes_per_radian(pair)[frame, i, j]))
+        rays_a, rays_b = pair.a.rays[frame, i][both], pair.b.rays[frame, j][both]
+        found += five_point(rays_a, rays_b, tolerance / 2**halvings)
+    return found
+
+
+# Answers
 
 
 def mean_focal(pair: ViewPair, focal: Floats) -> float:

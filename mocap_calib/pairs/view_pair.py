@@ -14,8 +14,6 @@ from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import Bools, Floats, Ints, Sample
 
-_FLATNESS_FRAMES = 20  # sampled for `are_flat`
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Detections:
@@ -201,7 +199,7 @@ def are_flat(sample: Sample, lifted: LiftedPoses, views: tuple[int, ...], frames
     best rotation. That is compared with the variance that the network predicts for the joints that
     are seen, by medians over bodies. frames: `[frame]` indices into the sample.
     """
-    few = evenly_spaced(frames, _FLATNESS_FRAMES)
+    few = evenly_spaced(frames, PairwiseConfig.least_frames)
     known = sample.vocabulary >= 0
     moved = expected = 0.0
     for view in views:

@@ -109,13 +109,13 @@ class Moved:
 
         Raises MismatchError where the recording does not have the camera.
         """
-        view = find_view(recording, self.camera)
-        for name in recording.names[view + 1 :]:
-            camera, _, start = name.rpartition(EPOCH_MARK)
-            if camera != self.camera or int(start) >= self.frame:
-                break
-            view += 1
-        return view
+        find_view(recording, self.camera)
+        names = recording.names
+        return max(
+            view
+            for view in views_by_camera(names)[self.camera]
+            if _start_of(names[view], names) < self.frame
+        )
 
 
 @dataclass(frozen=True)

@@ -227,14 +227,8 @@ def shared_keypoints(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) 
 
     Raises MismatchError where there are none.
     """
-    first_name: dict[str, str] = {}
-    counts: dict[str, int] = {}
-    for view in views:
-        for name in view.keypoints:
-            meaning = meanings[name]
-            first_name.setdefault(meaning, name)
-            counts[meaning] = counts.get(meaning, 0) + 1
-    shared = {meaning: name for meaning, name in first_name.items() if counts[meaning] >= 2}
+    names = _names_by_camera(views, meanings)
+    shared = {each: next(iter(of.values())) for each, of in names.items() if len(of) >= 2}
     if not shared:
         listed = "; ".join(
             f"{view.camera}: {', '.join(view.keypoints[:_LISTED])}" for view in views
@@ -251,16 +245,19 @@ def unshared_keypoints(views: Sequence[Keypoints2D], meanings: Mapping[str, str]
 
     meanings: as `keypoint_meanings` returns them.
     """
-    cameras: dict[str, set[str]] = {}
+    names = _names_by_camera(views, meanings).values()
+    return {name: camera for of in names if len(of) == 1 for camera, name in of.items()}
+
+
+def _names_by_camera(
+    views: Sequence[Keypoints2D], meanings: Mapping[str, str]
+) -> dict[str, dict[str, str]]:
+    """Return the name that each meaning has in the view of each camera that has it."""
+    names: dict[str, dict[str, str]] = {}
     for view in views:
         for name in view.keypoints:
-            cameras.setdefault(meanings[name], set()).add(view.camera)
-    return {
-        name: view.camera
-        for view in views
-        for name in view.keypoints
-        if len(cameras[meanings[name]]) == 1
-    }
+            names.setdefault(meanings[name], {})[view.camera] = name
+    return names
 
 
 def describe_unshared(unshared: Mapping[str, str]) -> str:

@@ -16,7 +16,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
 from mocap_calib.types import Bools, Camera, Floats, Ints, Reals, Recording, Sample
 
-_STRETCH_FRAMES, _STRETCH_DETECTIONS = 400, 5000  # at most, in all stretches together
+_STRETCH_FRAMES = 400  # at most, in all stretches together, and half the detections of a sample
 
 
 def evenly_spaced(values: Ints, count: int) -> Ints:
@@ -217,7 +217,7 @@ def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
     on_grid = first + position * step == frames
     length = int(position.max()) + 1
     in_frame = max(recording.detected.sum() / len(frames), 1.0)
-    budget = int(min(_STRETCH_FRAMES, _STRETCH_DETECTIONS / in_frame))
+    budget = int(min(_STRETCH_FRAMES, SampleConfig.detections / 2 / in_frame))
     each = max(3 * config.window, 1)
     count = max(1, budget // each)
     if length <= max(budget, each):

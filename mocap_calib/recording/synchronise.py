@@ -17,6 +17,7 @@ from mocap_calib.config import (
     COPY_SHARE,
     COPY_TOLERANCE,
     TYPICAL_PERCENTILE,
+    PairwiseConfig,
 )
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.joints import normalise_name
@@ -272,13 +273,13 @@ def _check_covisible(confidence: Reals) -> None:
 # digits that these keep: two cameras never see the same. Subjects that stand still, and cameras
 # side by side, look alike but never to the hundredth of a pixel in tens of detections.
 
-_LEAST_JOINTS = 3  # seen: single points of two bodies may be the same pixel
-
 
 def find_repeated(positions: Reals) -> Bools:
     """Return `[frame, instance]` whether an earlier detection of the frame is the same.
 
-    Two are the same where they have the same keypoints, three at least, at the same places.
+    Two are the same where they have the same keypoints, three at least, at the same places:
+    single points of two bodies may be the same pixel.
+
     positions: `[frame, instance, keypoint, 2]` in pixels, NaN = missing.
     """
     frames, instances = positions.shape[:2]
@@ -286,7 +287,7 @@ def find_repeated(positions: Reals) -> Bools:
     if instances < 2:
         return repeated
     seen = np.isfinite(positions[..., 0])
-    enough = seen.sum(-1) >= _LEAST_JOINTS
+    enough = seen.sum(-1) >= PairwiseConfig.least_joints
     key = np.where(enough, np.where(seen, positions[..., 0], 0.0).sum(-1), np.nan)
     for earlier, later in combinations(range(instances), 2):
         alike = np.flatnonzero(key[:, earlier] == key[:, later])

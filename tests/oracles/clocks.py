@@ -3,11 +3,11 @@
 import numpy as np
 
 
-def follow(table: np.ndarray, price: float, largest_step: int) -> np.ndarray:
+def follow(table: np.ndarray, price: float) -> np.ndarray:
     """Return the path `[frame]` of most agreement through a table `[frame, offset]` (Viterbi)."""
     frames, offsets = table.shape
     stay = np.arange(offsets)
-    steps = np.array([0, 1, *range(-1, -largest_step - 1, -1)])  # from where an offset is reached
+    steps = np.array([0, 1, -1])  # from where an offset is reached
     sources = (stay + steps[:, None]).clip(0, offsets - 1)
     prices = price * (steps != 0)[:, None]
     origin = np.zeros((frames, offsets), dtype=np.int64)

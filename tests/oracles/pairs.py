@@ -4,8 +4,7 @@ import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.pairs.affinity import unit_essential_matrix
-from mocap_calib.pairs.search import Hypotheses
+from mocap_calib.pairs.affinity import Hypotheses, unit_essential_matrix
 from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian, matched_rays
 from mocap_calib.types import Bools, Floats
 

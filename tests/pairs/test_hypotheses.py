@@ -6,7 +6,7 @@ import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.pairs.search import _known_identities
+from mocap_calib.pairs.solve import _known_identities
 from mocap_calib.paper import (
     FivePointConfig,
     _count_inliers,
