@@ -74,7 +74,6 @@ def _candidate_pairs(views: int) -> tuple[list[tuple[int, int]], list[tuple[int,
 # Where a point follows one ray almost wholly, what is left of that ray's error tells nothing
 # certain of the error: this share of its variance at least is taken to be left.
 _LEAST_SHARE = 0.05
-_RIDGE = 1e-10  # of the diagonal of matrices of trace 1
 # the median angle of a view that does not see the point, which then takes up nothing of its error:
 # of two degrees of freedom, by the formula of `median_angles`
 _UNTOUCHED = (2 * (1 - 1 / 9) ** 3) ** 0.5
@@ -102,7 +101,7 @@ def point_covariance(
     known = _sum_across(weight / square, unit)
     spread = _sum_across(weight**2 * variance[:, None] / square, unit)
     size = np.trace(known, axis1=1, axis2=2)[:, None, None]
-    scaled = known / np.where(size > 0, size, 1.0) + _RIDGE * np.eye(3)
+    scaled = known / np.where(size > 0, size, 1.0) + kernels.RIDGE * np.eye(3)
     inverse = np.linalg.inv(scaled) / np.where(size > 0, size, 1.0)
     return (inverse @ spread @ inverse)[:, *np.triu_indices(3)].T
 

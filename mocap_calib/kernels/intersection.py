@@ -11,7 +11,7 @@ import numpy as np
 from mocap_calib.kernels.jit import inlined, kernel
 from mocap_calib.types import Floats, Ints
 
-_RIDGE = 1e-10  # added to the diagonal of matrices that are scaled to about 1
+RIDGE = 1e-10  # added to the diagonal of matrices that are scaled to about 1
 _Entries = tuple[float, float, float, float, float, float]
 
 
@@ -42,7 +42,7 @@ def _invert(matrix: Floats) -> _Entries:
     size = matrix[0] + matrix[3] + matrix[5]
     if size == 0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    xx, yy, zz = matrix[0] / size + _RIDGE, matrix[3] / size + _RIDGE, matrix[5] / size + _RIDGE
+    xx, yy, zz = matrix[0] / size + RIDGE, matrix[3] / size + RIDGE, matrix[5] / size + RIDGE
     xy, xz, yz = matrix[1] / size, matrix[2] / size, matrix[4] / size
     of_xx, of_xy, of_xz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     determinant = xx * of_xx + xy * of_xy + xz * of_xz

@@ -9,9 +9,8 @@ import math
 import numpy as np
 
 from mocap_calib.kernels.jit import inlined, kernel
+from mocap_calib.kernels.lens import LANES
 from mocap_calib.types import Floats
-
-LANES = 64  # rays of a block: loops of a fixed length over arrays in the cache are vectorised
 
 
 @inlined

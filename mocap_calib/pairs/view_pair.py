@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.kernels.pair_refinement import LANES
+from mocap_calib.kernels.lens import LANES
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import Bools, Floats, Ints, Sample

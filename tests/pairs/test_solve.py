@@ -13,7 +13,7 @@ from scenes import lifted, recording, scene
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.pairs_json import pairs_to_json
-from mocap_calib.kernels.pair_refinement import LANES
+from mocap_calib.kernels.lens import LANES
 from mocap_calib.pairs.affinity import refine_poses
 from mocap_calib.pairs.solve import calibrate_pair, calibrate_pairs
 from mocap_calib.pairs.view_pair import gather_view_pair, in_blocks
