@@ -178,7 +178,8 @@ def refine_poses(
         np.add.at(blocks, pose, np.swapaxes(rows, 1, 2) @ rows)
         poses = _moved(poses, blocks)
     distance = np.linalg.norm(error[shown], axis=-1)
-    return poses, float(np.nanmedian(distance)) if len(distance) else np.inf
+    distance = distance[np.isfinite(distance)]
+    return poses, float(np.median(distance)) if len(distance) else np.inf
 
 
 def _moved(poses: Floats, blocks: Floats) -> Floats:

@@ -82,9 +82,12 @@ def _screen(held: list[Held], config: Config) -> list[int]:
     """Return the views whose errors change at some moment, the most suspicious first."""
 
     def evidence(one: Held) -> float:
-        """Return that of a change of a view."""
+        """Return that of a change of a view; a bent rig asks for further ones."""
         found = segment(one.pose, one.seen, config.moved, one.noise)
-        return choose_epochs(found, one.seen, config.moved, least=0.0)[1]
+        costs, detections = total_costs(found, one.seen)
+        gains = detections * (costs[0] / np.maximum(costs[1:], 1e-12) - 1)
+        nats = gains / (2 * np.arange(1, len(costs)))  # of each of so many changes
+        return float(nats.max(initial=0.0)) - float(np.log(config.moved.stretches))
 
     scores = np.array([*map_in_threads(evidence, held)])
     order = np.argsort(-scores, kind="stable")[: config.diagnosis.candidates]
@@ -209,21 +212,24 @@ def _refine(epochs: Epochs, seen: Sightings, config: MovedConfig) -> Epochs:
 
 
 def choose_epochs(
-    found: list[Epochs], seen: Sightings, config: MovedConfig, *, least: float = DECISIVE_NATS
+    found: list[Epochs], seen: Sightings, config: MovedConfig
 ) -> tuple[Epochs, float]:
-    """Return the epochs that are accepted, of those with 0, 1, 2, ... changes, and their evidence.
-
-    Detections count that one of them explains: the others are of strangers. least: evidence, nats.
-    """
-    costs = np.array([epochs.costs(seen) for epochs in found])
-    explained = costs[:, (costs < FITS).any(0)]
-    changes, evidence = choose_number(explained.sum(1), explained.shape[1], config, least)
+    """Return the epochs that are accepted, of those with 0, 1, ... changes, and their evidence."""
+    changes, evidence = choose_number(*total_costs(found, seen), config)
     return found[changes], evidence
 
 
-def choose_number(
-    costs: Floats, detections: int, config: MovedConfig, least: float = DECISIVE_NATS
-) -> tuple[int, float]:
+def total_costs(found: list[Epochs], seen: Sightings) -> tuple[Floats, int]:
+    """Return the cost of each of several numbers of epochs, and of how many detections.
+
+    Detections count that one of them explains: the others are of strangers.
+    """
+    costs = np.array([epochs.costs(seen) for epochs in found])
+    explained = costs[:, (costs < FITS).any(0)]
+    return explained.sum(1), explained.shape[1]
+
+
+def choose_number(costs: Floats, detections: int, config: MovedConfig) -> tuple[int, float]:
     """Return how many changes are accepted, and their evidence (nats).
 
     A change that lowers the cost of n detections by a share g has n g / 2 nats (a profile
@@ -238,7 +244,7 @@ def choose_number(
         further = max(1.0, float(gains[changes:].max(initial=0.0)))
         gain = min(float(gains[:changes].min()), float(gains[changes - 1]) / further)
         evidence = gain / 2 - float(np.log(config.stretches))
-        if evidence > least:
+        if evidence > DECISIVE_NATS:
             return changes, evidence
     return 0, 0.0
 
