@@ -260,8 +260,12 @@ def _fit_all(
         min((fit(k, part.select(few), start, quick) for start in starts), key=cost)
         for k, part in enumerate(seen)
     ]
-    better = [k for k in range(1, len(tried)) if cost(rough[k]) < cost(rough[0])]
-    kept = [0, *better]
+    # exchanged sides may explain a part of the detections alone
+    kept = [
+        k
+        for k, each in enumerate(tried)
+        if each.name in ("given", "sides") or cost(rough[k]) < cost(rough[0])
+    ]
     fits = [fit(k, seen[k], rough[k].pose, config.fit) for k in kept]
     sharpest = min(float(np.median(one.error)) for one in fits) / MEDIAN_DISTANCE
     gains = [_costs(fits[0], sharpest) - _costs(one, sharpest) for one in fits]
