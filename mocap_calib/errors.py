@@ -1,4 +1,4 @@
-"""What can go wrong through no fault of the program.
+"""What can go wrong through no fault of the program, and words that messages share.
 
 MocapCalibError
 ├── FormatError       a file is not what its format says
@@ -11,7 +11,7 @@ Every message is one line: what was expected, what came, what to do. Anything el
 is a mistake of the program and keeps its traceback.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 
@@ -50,3 +50,25 @@ def suggest(name: str, known: Iterable[str]) -> str:
     """Return what to do about a name that is not one of the known, for the end of a message."""
     near = get_close_matches(name, list(known), n=1)
     return f"did you mean {near[0]}?" if near else "choose one of these"
+
+
+def count(number: int, noun: str, plural: str = "") -> str:
+    """Return a number with its noun: `1 frame`, `2 frames`.
+
+    plural: of the noun, where it is not the noun with an s.
+    """
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def one_line(value: object, width: int = 80) -> str:
+    """Return `value` as text without line breaks, shortened to `width` characters."""
+    text = " ".join(str(value).split())
+    return text if len(text) <= width else f"{text[: width - 3]}..."
+
+
+def describe_lost(format: str, lost: Sequence[str]) -> list[str]:
+    """Return a line that says what a format does not hold; none where it holds all.
+
+    lost: words that follow "does not hold".
+    """
+    return [f"{format} does not hold {'; '.join(lost)}"] if lost else []

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mocap_calib import mapped
 from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config
+from mocap_calib.errors import count
 from mocap_calib.types import (
     Bools,
     CameraClock,
@@ -30,7 +31,6 @@ from mocap_calib.types import (
     find_name,
     find_views,
 )
-from mocap_calib.wording import count
 
 if TYPE_CHECKING:
     import xarray

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mocap_calib import mapped
-from mocap_calib.wording import count, one_line
+from mocap_calib.errors import count, one_line
 
 POSE = 6  # numbers of a change of pose: a turn and a shift
 

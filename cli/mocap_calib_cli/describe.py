@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
+from mocap_calib.errors import count
 from mocap_calib.job.load import RecordingSummary
 from mocap_calib.job.results import WrittenGroup
 from mocap_calib.recording.names import describe_unshared
 from mocap_calib.results import CalibrationResult
-from mocap_calib.wording import count
 from mocap_calib_cli.screen import format_table
 
 # --- what was read

@@ -7,9 +7,9 @@ the verdict (`verdicts.conclude`) and nowhere else.
 from pathlib import Path
 from typing import Any
 
+from mocap_calib.errors import count
 from mocap_calib.io.results.group import REVERSED_RIG
 from mocap_calib.types import ARBITRARY
-from mocap_calib.wording import count
 from mocap_calib_cli.describe_world import describe_world
 from mocap_calib_cli.screen import Table, format_number
 

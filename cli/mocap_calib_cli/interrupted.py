@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from mocap_calib.errors import count
 from mocap_calib.job.results import UNFINISHED
-from mocap_calib.wording import count
 from mocap_calib_cli.progress import Reporter
 
 

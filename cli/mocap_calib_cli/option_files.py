@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from mocap_calib.wording import one_line
+from mocap_calib.errors import one_line
 from mocap_calib_cli import values
 from mocap_calib_cli.options import STDIO
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
-from mocap_calib.wording import count
+from mocap_calib.errors import count
 from mocap_calib_cli import screen
 
 if TYPE_CHECKING:

@@ -62,7 +62,7 @@ class NameOrFile(click.types.StringParamType):
 
 def wrong_form(form: str, text: str, option: str) -> click.BadParameter:
     """Return the complaint about a value that is not written as the option wants it."""
-    from mocap_calib.wording import one_line
+    from mocap_calib.errors import one_line
 
     found = one_line(text, width=200)
     return click.BadParameter(f"expected {form}, found {found}", param_hint=option)

@@ -15,7 +15,7 @@ import numpy as np
 
 from mocap_calib.adjust.covariance import scatter_of
 from mocap_calib.adjust.solve import System, levenberg_marquardt
-from mocap_calib.config import CameraFitConfig, Config
+from mocap_calib.config import AdjustConfig, CameraFitConfig, Config
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.sampling import evenly_spaced
@@ -25,7 +25,6 @@ from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints, Sample
 
 Unknown = Literal["log_scale", "x", "y", "log_focal"]
 _MOST_LOG = 3.0  # no focal length is so many times another: beyond it a fit has run away
-_TOLERANCE = 1e-6  # share of the cost: a step that promises to lower it by less is the last
 _FAR = 1e6  # pixels: the residual of what is behind the camera
 
 
@@ -95,7 +94,7 @@ def fit_camera(
             unknowns,
             partial(_system, camera=camera, seen=seen, free=free, scale=width * noise),
             Unknowns.moved,
-            tolerance=_TOLERANCE,
+            tolerance=AdjustConfig.tolerance,
             steps=config.steps,
         )
     found = linearise_camera(camera, seen, unknowns, free)

@@ -14,6 +14,7 @@ import numpy as np
 from mocap_calib.adjust.camera_fit import CameraFit, Unknown
 from mocap_calib.clocks.estimate import Retimed
 from mocap_calib.config import PLAIN_FACTORS, DiagnosisConfig
+from mocap_calib.errors import count
 from mocap_calib.recording.corrections import (
     Cropped,
     Exchanged,
@@ -26,7 +27,6 @@ from mocap_calib.recording.corrections import (
 )
 from mocap_calib.results import CalibrationResult, Clocks, Fault, FaultWord, Mend
 from mocap_calib.types import Camera, CameraClock, EstimatedCamera, Floats, Recording
-from mocap_calib.wording import count
 
 ADVICE: dict[FaultWord, str] = {
     "mirrored": "mirror the video and detect again",

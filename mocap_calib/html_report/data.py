@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from mocap_calib.errors import count
 from mocap_calib.html_report.bodies import describe_bodies
 from mocap_calib.html_report.cameras import describe_reference, describe_rig
 from mocap_calib.html_report.config import ReportConfig
@@ -18,7 +19,6 @@ from mocap_calib.html_report.series import describe_series
 from mocap_calib.html_report.source import ReportSource, select_individuals
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.verdict.checks import describe_checks
-from mocap_calib.wording import count
 
 SCHEMA = 1  # goes up when the form of the data changes
 _CONFIG = ReportConfig()

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS, TYPICAL_PERCENTILE, SampleConfig
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, count
 from mocap_calib.inspection.contents import seen_points
 from mocap_calib.inspection.finding import Finding, InspectConfig, critical, warning
 from mocap_calib.inspection.view_pairs import find_clock_problems, find_poor_views
@@ -30,7 +30,6 @@ from mocap_calib.recording.synchronise import (
     recording_of_views,
 )
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
-from mocap_calib.wording import count
 
 _LISTED = 6  # names in one message
 

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
+from mocap_calib.errors import count
 from mocap_calib.geometry.epipolar import fundamental_matrix
 from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.inspection.finding import Finding, InspectConfig, critical, warning
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Keypoints2D
-from mocap_calib.wording import count
 
 
 def find_clock_problems(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, count
 from mocap_calib.io.atomic import check_no_further_individual
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content, read_rig
@@ -36,7 +36,6 @@ from mocap_calib.io.registry import (
 from mocap_calib.io.units import ARBITRARY, unit_factor
 from mocap_calib.recording.names import check_pixels
 from mocap_calib.types import Keypoints2D
-from mocap_calib.wording import count
 
 _OWN_CAMERAS = "cameras.yaml"  # in the folder of a run
 

@@ -12,10 +12,9 @@ from typing import BinaryIO
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.errors import FormatError
+from mocap_calib.errors import FormatError, one_line
 from mocap_calib.io.missing import MISSING_CUSTOMS, mark_missing
 from mocap_calib.types import Floats, Ints, Keypoints2D
-from mocap_calib.wording import one_line
 
 NO_SCORE = "no scores in the file: every point counts fully"
 MOST_INSTANCES = 1000  # in a frame

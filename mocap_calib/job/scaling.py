@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import ScaleCue, WorldConfig
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, count
 from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, write_pieces
 from mocap_calib.io.cameras.own import SUBFRAME
@@ -30,7 +30,6 @@ from mocap_calib.io.world_fields import world_fields
 from mocap_calib.recording.corrections import own_name
 from mocap_calib.results import RigCovariance
 from mocap_calib.types import ARBITRARY, CameraRig, World
-from mocap_calib.wording import count
 from mocap_calib.world.floor import find_joints
 from mocap_calib.world.lengths import Scale, find_scale, measurable, scaled_world
 

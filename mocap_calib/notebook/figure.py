@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import looking_along, rig_size
 from mocap_calib.lift.lifter import load_vocabulary
+from mocap_calib.notebook.colours import colour_of
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import GroupResult
 from mocap_calib.types import ARBITRARY, CameraRig, Floats, Ints
-from mocap_calib.wording import colour_of
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

@@ -8,9 +8,9 @@ from html import escape
 
 import numpy as np
 
+from mocap_calib.errors import count
 from mocap_calib.results import CalibrationResult, GroupResult
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera, Floats, describe_unit
-from mocap_calib.wording import count
 
 _HEADER = ("camera", "image", "focal length (px)", "centre")
 _SIGMAS = ("rotation (deg, 1 SD)", "centre (% of the rig, 1 SD)")

@@ -13,9 +13,9 @@ import numpy as np
 from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import rig_size
+from mocap_calib.notebook.colours import colour_of, rgb
 from mocap_calib.results import Poses3D
 from mocap_calib.types import ARBITRARY, METRES, Camera, CameraRig, Floats
-from mocap_calib.wording import colour_of, rgb
 
 Image = Any  # numpy's array of uint8 [height, width, 3], blue green red
 _SHIFT = 4  # bits of a pixel that OpenCV draws with

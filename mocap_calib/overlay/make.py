@@ -10,13 +10,13 @@ import numpy as np
 from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.io.atomic import replace_folder
+from mocap_calib.notebook.colours import colour_of
 from mocap_calib.overlay import drawing
 from mocap_calib.overlay.drawing import Image, View
 from mocap_calib.overlay.results import CameraResults, Results
 from mocap_calib.overlay.video import Video, check_size, open_video, read_frames
 from mocap_calib.results import NO_FRAME
 from mocap_calib.types import CameraRig, Floats, Keypoints2D, Progress, silent
-from mocap_calib.wording import colour_of
 
 _GRID, _CAMERA = "#dddddd", "#ffffff"
 _CODEC = "mp4v"  # what every build of OpenCV writes

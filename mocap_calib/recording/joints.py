@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from mocap_calib.errors import FormatError
+from mocap_calib.errors import FormatError, one_line
 from mocap_calib.types import Ints, Skeleton
-from mocap_calib.wording import one_line
 
 # the first of those that know a recording equally well is chosen
 SHIPPED = ("people", "quadruped", "rodent", "bird")

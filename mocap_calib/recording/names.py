@@ -21,10 +21,9 @@ from mocap_calib.config import (
     IntrinsicsConfig,
     Refinement,
 )
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, count
 from mocap_calib.recording.joints import match_names, normalise_name
 from mocap_calib.types import AssumedCamera, Camera, Keypoints2D, Skeleton
-from mocap_calib.wording import count
 
 _UNKNOWN_SIZE = (0, 0)
 
@@ -193,8 +192,7 @@ def _fold_name(name: str) -> str:
     return "".join(letter for letter in compose_name(name).casefold() if letter.isalnum())
 
 
-_LISTED_UNSHARED = 6  # names in a message
-_LISTED = 12  # names of one file in a message
+_LISTED = 12  # names in a message
 
 
 def keypoint_meanings(
@@ -263,8 +261,8 @@ def _names_by_camera(
 def describe_unshared(unshared: Mapping[str, str]) -> str:
     """Return a line on the keypoints that only one view has; the first are listed."""
     named = [f"{name} ({camera})" for name, camera in unshared.items()]
-    listed = ", ".join(named[:_LISTED_UNSHARED])
-    more = ", ..." if len(named) > _LISTED_UNSHARED else ""
+    listed = ", ".join(named[:_LISTED])
+    more = ", ..." if len(named) > _LISTED else ""
     return f"not used, named by a single camera: {count(len(named), 'keypoint')}: {listed}{more}"
 
 

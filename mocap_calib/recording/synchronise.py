@@ -19,7 +19,7 @@ from mocap_calib.config import (
     TYPICAL_PERCENTILE,
     PairwiseConfig,
 )
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, count
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.names import (
     keypoint_meanings,
@@ -37,7 +37,6 @@ from mocap_calib.types import (
     Recording,
     Skeleton,
 )
-from mocap_calib.wording import count
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import FormatError
+from mocap_calib.errors import FormatError, one_line
 from mocap_calib.types import Floats, Ints, Skeleton
-from mocap_calib.wording import one_line
 
 AXES = ("roll", "pitch", "yaw")
 ROOT = "root"  # the name of the whole body among the bones

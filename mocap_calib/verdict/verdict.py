@@ -26,7 +26,7 @@ from mocap_calib.adjust.refine import (
 from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config, UncertaintyConfig
-from mocap_calib.errors import DegenerateError
+from mocap_calib.errors import DegenerateError, count
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import rig_change, rig_size
 from mocap_calib.pairs.solve import in_recording
@@ -60,7 +60,6 @@ from mocap_calib.types import (
     silent,
 )
 from mocap_calib.verdict.checks import OPEN_DEG, check_rig
-from mocap_calib.wording import count
 
 _SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
 _HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected

@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
-from mocap_calib.errors import DegenerateError, MismatchError, suggest
+from mocap_calib.errors import DegenerateError, MismatchError, count, one_line, suggest
 from mocap_calib.geometry.rotation import Similarity, align_by_similarity, angle_between, rig_size
 from mocap_calib.recording.corrections import views_by_camera
 from mocap_calib.results import RigCovariance
 from mocap_calib.rig.triangulate import triangulate_pixels
 from mocap_calib.types import METRES, Bools, Camera, CameraRig, Floats, MeasuredLandmark, World
 from mocap_calib.verdict.evaluation import with_axes
-from mocap_calib.wording import count, one_line
 
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 LEAST_LANDMARKS = 3  # that determine a similarity

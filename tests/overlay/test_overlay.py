@@ -9,12 +9,12 @@ import pytest
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.lens import pixels_from_points
+from mocap_calib.notebook.colours import COLOURS, UNASSIGNED, colour_of, rgb
 from mocap_calib.overlay.drawing import View, camera_lines, floor_lines, resize
 from mocap_calib.overlay.make import make_overlays
 from mocap_calib.overlay.results import CameraResults, Results, read_results
 from mocap_calib.overlay.video import Video, _Pace
 from mocap_calib.types import Camera, CameraClock, Floats, World
-from mocap_calib.wording import COLOURS, UNASSIGNED, colour_of, rgb
 
 FRAMES = 12  # of the videos
 BARREL = (-0.25, 0.06, 0.002, -0.001, 0.0)

@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
+from mocap_calib.errors import count
 from mocap_calib.job.load import RecordingSummary
 from mocap_calib.recording.names import describe_unshared
-from mocap_calib.wording import count
 from mocap_calib_cli.describe import describe_recording
 
 

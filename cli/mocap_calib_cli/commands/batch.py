@@ -174,7 +174,7 @@ class _Batch:
         complaint: "MismatchError | None",
     ) -> None:
         """Note what was found of the largest group, and what of it could not be had."""
-        from mocap_calib.wording import count
+        from mocap_calib.errors import count
         from mocap_calib_cli.verdicts import conclude
 
         name = request.output.name
@@ -275,7 +275,7 @@ def _count_verdicts(outcomes: Iterable[Outcome]) -> dict[str, int]:
 
 def _describe_counts(counts: dict[str, int], *, total: int, failed: int) -> str:
     """Return how many recordings were calibrated, and the verdicts that there are, in a line."""
-    from mocap_calib.wording import count
+    from mocap_calib.errors import count
 
     calibrated = f"{total - failed} of {count(total, 'recording')} calibrated"
     verdicts = [f"{number} {word}" for word, number in counts.items() if number]

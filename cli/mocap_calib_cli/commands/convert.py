@@ -113,8 +113,8 @@ def command(
       mocap-calib convert openpose/ again --to csv --layout coco_17
       mocap-calib convert - - --from anipose --to nerfstudio <out/calibration.toml >nerf.json
     """
+    from mocap_calib.errors import describe_lost
     from mocap_calib.io import kinds
-    from mocap_calib.wording import describe_lost
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
 

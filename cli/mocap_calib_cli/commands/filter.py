@@ -79,11 +79,11 @@ def command(
     from typing import cast
 
     from mocap_calib.config import FilterMethod
+    from mocap_calib.errors import describe_lost
     from mocap_calib.io.conversion import load_pose_sources
     from mocap_calib.io.kinds import check_sources, choose_format
     from mocap_calib.io.poses.write import write_poses
     from mocap_calib.poses.filters import filter_poses
-    from mocap_calib.wording import describe_lost
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
 

@@ -135,7 +135,7 @@ def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> No
 
 def _describe(report: dict[str, Any]) -> list[str]:
     """Return the report for a person."""
-    from mocap_calib.wording import count
+    from mocap_calib.errors import count
 
     lines = _describe_cameras(report)
     if report["pairs"]:
@@ -150,7 +150,7 @@ def _describe(report: dict[str, Any]) -> list[str]:
 
 def _describe_cameras(report: dict[str, Any]) -> list[str]:
     """Return a table of the cameras, a line on the joints, and details of each camera."""
-    from mocap_calib.wording import count
+    from mocap_calib.errors import count
     from mocap_calib_cli.screen import format_table
 
     cameras = report["cameras"]
@@ -197,7 +197,7 @@ def _camera_row(camera: dict[str, Any]) -> list[str]:
 
 def _details(camera: dict[str, Any]) -> list[str]:
     """Return lines on what the table has no room for."""
-    from mocap_calib.wording import count
+    from mocap_calib.errors import count
 
     lines = [camera["source"]]
     if camera["missing"]:

@@ -40,12 +40,12 @@ def command(
       mocap-calib kinematics out --fps 30 -o out/kinematics
       mocap-calib kinematics anna.trc -o anna
     """
+    from mocap_calib.errors import count
     from mocap_calib.io.conversion import load_pose_sources
     from mocap_calib.io.kinds import check_sources
     from mocap_calib.io.results.kinematics_csv import write_kinematics
     from mocap_calib.kinematics import define, measure
     from mocap_calib.recording.joints import fit_vocabulary
-    from mocap_calib.wording import count
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
 

@@ -154,9 +154,9 @@ def command(
       mocap-calib simulate -o scene --kind rodent:2
       mocap-calib simulate -o scene --kind people:2 --kind quadruped
     """
+    from mocap_calib.errors import count
     from mocap_calib.io.results.scene import describe_kinds, write_scene
     from mocap_calib.synthetic import simulate
-    from mocap_calib.wording import count
     from mocap_calib_cli.progress import Reporter
 
     config = SimulateConfig(**fields, **_count_kinds(people, kinds))

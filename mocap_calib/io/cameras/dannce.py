@@ -15,6 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from mocap_calib.errors import one_line
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers, skew_in_pixels
 from mocap_calib.io.cameras.source import (
@@ -28,7 +29,6 @@ from mocap_calib.io.file import malformed
 from mocap_calib.io.mat5 import DAMAGE, read_mat
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
-from mocap_calib.wording import one_line
 
 _FIELDS = ("K", "RDistort", "TDistort", "r", "t")
 _MOST_SKEW = 1e-2  # of the focal length: what MATLAB estimates where there is only noise

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.errors import count
 from mocap_calib.types import Bools, Keypoints2D
-from mocap_calib.wording import count
 
 FILLED_TABLE = "filled_in.tsv"
 _HEADER = ["camera", "frame", "instance", "keypoint"]

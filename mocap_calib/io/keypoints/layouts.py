@@ -1,8 +1,7 @@
 """Name keypoints in the order in which programs write them, for files that hold numbers alone."""
 
-from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.errors import MismatchError, one_line, suggest
 from mocap_calib.io.file import malformed
-from mocap_calib.wording import one_line
 
 _COCO = (
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow "

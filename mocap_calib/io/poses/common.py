@@ -13,7 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, one_line
 from mocap_calib.io.file import find_repeated, malformed
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
@@ -21,7 +21,6 @@ from mocap_calib.io.units import unit_factor
 from mocap_calib.recording.joints import choose_skeleton, edges_of_keypoints, match_names
 from mocap_calib.results import Poses3D
 from mocap_calib.types import ARBITRARY, CameraRig, Floats, Ints, check_names
-from mocap_calib.wording import one_line
 
 # what h5py, numpy, zipfile and c3d raise on files that are cut or damaged
 DAMAGE = (

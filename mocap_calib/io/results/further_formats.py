@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.errors import MismatchError, describe_lost, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.poses.common import PoseFile, bare_poses, describe_poses
@@ -17,7 +17,6 @@ from mocap_calib.io.registry import AnyFormat, find_format, written_names
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import CameraRig, Recording
-from mocap_calib.wording import describe_lost
 
 
 @dataclass(frozen=True)

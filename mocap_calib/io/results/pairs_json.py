@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import FormatError
+from mocap_calib.errors import FormatError, one_line
 from mocap_calib.io.cameras.intrinsics import (
     camera_fields,
     camera_from_fields,
@@ -18,7 +18,6 @@ from mocap_calib.io.file import malformed
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.types import Camera
-from mocap_calib.wording import one_line
 
 VERSION = 1
 _FORMAT = "mocap-calib pairs"
