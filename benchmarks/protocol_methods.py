@@ -12,7 +12,7 @@ from protocol_rivals import LiftedPair, adjust, lifted_pair, procrustes, sphere
 
 from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseConfig
 from mocap_calib.geometry.epipolar import pose_from_essential
-from mocap_calib.lift.lift import lift, rays_by_joint
+from mocap_calib.lift import lift, rays_by_joint
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.pairs.solve import calibrate_pair
 from mocap_calib.pairs.view_pair import gather_view_pair

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares, linear_sum_assignment
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import align_by_similarity, matrix_from_vector, nearest_rotation
-from mocap_calib.lift.lift import rays_by_joint
+from mocap_calib.lift import rays_by_joint
 from mocap_calib.pairs.affinity import mutual_best
 from mocap_calib.paper import Found
 from mocap_calib.recording.joints import edges_of_keypoints

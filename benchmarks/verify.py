@@ -23,7 +23,7 @@ from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import matrix_from_vector, rig_size
-from mocap_calib.lift.lift import lift
+from mocap_calib.lift import lift
 from mocap_calib.lift.lifter import choose_model
 from mocap_calib.recording.sampling import choose_sample_frames, hide_blind_spots, take_sample
 from mocap_calib.results import LiftedPoses

@@ -393,7 +393,7 @@ class DiagnosisConfig:
     upright_nats: float = 7.0
     upright_deg: float = 30.0
     exchanged_share: float = 0.25
-    frames: int = 200
+    frames: int = TriangulateConfig.noise_frames
     keypoints: int = 4000
     candidates: int = 5
     focal_noise: float = 0.005
@@ -623,7 +623,7 @@ class WorldConfig:
     measure: CueConfig = CueConfig()
     stated_sigma: float = 0.01
     landmark_pixels: float = 2.0
-    most_misfit: float = 3.0
+    most_misfit: float = IntrinsicsConfig.significance
 
     @property
     def stated_unit(self) -> str:

@@ -29,7 +29,7 @@ from mocap_calib.config import Config, Refinement
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.mend import add_clocks, mend_faults
 from mocap_calib.identities import finalise_identities
-from mocap_calib.lift.lift import RememberedLift, lift
+from mocap_calib.lift import RememberedLift, lift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.pairs.solve import PairSolver
 from mocap_calib.poses.stage import smooth_group

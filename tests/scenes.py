@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
-from mocap_calib.lift.lift import lift
+from mocap_calib.lift import lift
 from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton

@@ -12,7 +12,7 @@ from scenes import calibrate_group, precision, recording, rotation_errors_deg, s
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, SampleConfig, TriangulateConfig
-from mocap_calib.lift.lift import lift
+from mocap_calib.lift import lift
 from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.rig import gather_tracks

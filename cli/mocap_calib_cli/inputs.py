@@ -234,7 +234,7 @@ def lift_with_model(
     sample: Sample, model: str, device: str, reporter: Reporter, *, pair_solver: str = "search"
 ) -> LiftedPoses:
     """Lift the detections of a sample. Raises MismatchError where there is no such device."""
-    from mocap_calib.lift.lift import lift
+    from mocap_calib.lift import lift
     from mocap_calib.lift.lifter import load_model
     from mocap_calib.training import on_device
 

@@ -29,7 +29,7 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 Singles = NDArray[np.float32]
 Pair = tuple[int, int]
 
-LEAST_FRAMES = 20  # that both views see: fewer agree by chance
+LEAST_FRAMES = PairwiseConfig.least_frames  # that both views see: fewer agree by chance
 POSE_TOLERANCE = PairwiseConfig.pose_tolerance
 _AXES = 10  # of the bodies' joints that are compared: bodies differ in few ways
 BLOCK_FRAMES = 30  # of a block of time, which has an offset of its own in the search

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from mocap_calib.config import LEAST_FORWARD, LEAST_JOINTS
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.lift.lift import rays_by_joint
+from mocap_calib.lift import rays_by_joint
 from mocap_calib.pairs.view_pair import ViewPair
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.training import torch_threads

@@ -23,7 +23,7 @@ from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.lens import change_intrinsics, pixels_from_points
 from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.provenance import judgement, round_sigma
-from mocap_calib.lift.lift import RememberedLift
+from mocap_calib.lift import RememberedLift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.recording.sampling import choose_sample_frames, hide_blind_spots, take_sample
 from mocap_calib.results import (

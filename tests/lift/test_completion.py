@@ -11,7 +11,7 @@ from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.load import KeypointSource, load_recording
-from mocap_calib.lift.lift import complete_sample, lift
+from mocap_calib.lift import complete_sample, lift
 from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.types import silent
 

@@ -13,7 +13,7 @@ from mocap_calib.config import LEAST_LIFT_SPREAD
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels.lifter import activate
-from mocap_calib.lift.lift import (
+from mocap_calib.lift import (
     _DOWN,
     _centre,
     _confidence_of_lifted,

@@ -10,7 +10,7 @@ from scenes import recording, scene
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.lift.lift import lift, rays_by_joint
+from mocap_calib.lift import lift, rays_by_joint
 from mocap_calib.lift.lifter import ModelConfig, load_lifter
 from mocap_calib.recording.joints import load_skeleton, match_names, normalise_name
 from mocap_calib.synthetic import people

@@ -26,7 +26,7 @@ from scenes import (
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.identities import finalise_identities
-from mocap_calib.lift.lift import lift
+from mocap_calib.lift import lift
 from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.results import Matches, Uncertainty
 from mocap_calib.rig.associate import associate, have_same_groups

@@ -33,7 +33,7 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     from mocap_calib.errors import count, describe_lost
     from mocap_calib.io.keypoints.filled_table import FILLED_TABLE, format_filled_table
     from mocap_calib.io.keypoints.write import find_written_format, write_keypoints
-    from mocap_calib.lift.lift import complete_sample, find_completed
+    from mocap_calib.lift import complete_sample, find_completed
     from mocap_calib.lift.lifter import load_vocabulary
     from mocap_calib.recording.sampling import check_known_joints, take_sample
     from mocap_calib_cli import inputs, outputs

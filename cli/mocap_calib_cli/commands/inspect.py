@@ -110,7 +110,7 @@ def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> No
     from mocap_calib.config import Config
     from mocap_calib.faults.hypotheses import clock_faults, describe_clock, option_of
     from mocap_calib.job.load import load_recording
-    from mocap_calib.lift.lift import RememberedLift
+    from mocap_calib.lift import RememberedLift
     from mocap_calib.lift.lifter import choose_model
     from mocap_calib.results import Clocks
     from mocap_calib.types import silent
