@@ -17,7 +17,9 @@ from mocap_calib.types import Floats, Ints
 LANES = 20
 _OWN = 9 * LANES  # blocks of the diagonal, and the gradient
 _BLOCK = 6 * LANES
-_ROUNDING = 1e-12  # of what a point is held by
+# of what a point is held by: rays are of length 1 to 1e-15, and no point is nearer along its ray
+# than a thousandth of its distance
+_ROUNDING = 4e-12
 POINT = 3 * LANES  # numbers of a group in a frame: coordinates,
 MOTION = 4 * LANES  # weights of accelerations, and these times them,
 FACTOR = 16 * LANES  # and P, F and c of `pose_bands`
