@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.config import FloorConfig
+from mocap_calib.config import AveragingConfig, FloorConfig
 from mocap_calib.geometry.rotation import body_size, looking_along, mean_of_known
 from mocap_calib.kinematics import SIDES, leg_lengths
 from mocap_calib.lift.lifter import load_vocabulary
@@ -21,7 +21,6 @@ from mocap_calib.results import POINT_SOURCES, Poses3D
 from mocap_calib.types import Bools, Floats, Ints, Recording, Skeleton
 
 NO_FEET = "no feet are among the keypoints"  # of people, of animals on four legs
-_ROUNDS = 30  # of reweighting
 # joints that touch the floor, by kind of skeleton
 FEET = {
     "people": ("left_ankle", "right_ankle"),
@@ -249,7 +248,7 @@ def _fit_plane(
     cells = np.floor(places[:, :2] / near).astype(np.int64)
     count = len(np.unique(np.column_stack([individual, cells]), axis=0))
     residual = height - np.median(height)
-    for _ in range(_ROUNDS):
+    for _ in range(AveragingConfig.iterations):
         weight = 1 / np.maximum(np.abs(residual), kink) / (1 + (residual / near) ** 2)
         known = (count / weight.sum() / height_sigma**2 * weight)[:, None] * design
         normal = known.T @ design + prior
