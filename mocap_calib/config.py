@@ -230,8 +230,7 @@ class IntrinsicsConfig:
         that are free must be away from the one that cameras of equal image size share: each has its
         own then. Measured: 0.7 to 1.3 where they are equal, 2.0 where clocks and keypoints are poor
         besides; 3.3 to 20 where they differ by 8 to 20 %. And by which k1 of a camera must be away
-        from what was given, to be changed, and a given focal length, to be wrong: its own, or the
-        mean of all where they are alike. Sound cameras of twenty recordings: up to 2.3.
+        from what was given, to be changed.
     overconfidence: by how much the variance is larger than that of independent errors, until it
         has been measured. Real recordings have 2 to 100.
     """
@@ -255,7 +254,7 @@ class TriangulateConfig:
 
     # Standard deviations of what points leave of the errors, sqrt(1 - 3 / (2 V)) of V rays. Of 3 to
     # 5, as measured on 13 recordings, 4 gives the smallest errors of the bodies; 5 has 1 % of
-    # points more, which are worse.
+    # points more, which are worse. And of a given focal length, from which on it is wrong.
     outlier: float = 4.0
     least_angle_deg: float = 2.0  # between the rays of a point
     noise_frames: int = 200  # that tell how large each view's error is
