@@ -260,12 +260,8 @@ def _fit_all(
         min((fit(k, part.select(few), start, quick) for start in starts), key=cost)
         for k, part in enumerate(seen)
     ]
-    # exchanged sides may explain a part of the detections alone
-    kept = [
-        k
-        for k, each in enumerate(tried)
-        if each.name in ("given", "sides") or cost(rough[k]) < cost(rough[0])
-    ]
+    # without unknowns a hypothesis may gain by little of each keypoint, or of a part of them alone
+    kept = [k for k, each in enumerate(tried) if not each.free or cost(rough[k]) < cost(rough[0])]
     fits = [fit(k, seen[k], rough[k].pose, config.fit) for k in kept]
     sharpest = min(float(np.median(one.error)) for one in fits) / MEDIAN_DISTANCE
     gains = [_costs(fits[0], sharpest) - _costs(one, sharpest) for one in fits]
