@@ -16,7 +16,7 @@ import numpy as np
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.poses.read import load_poses
-from mocap_calib.overlay.colours import COLOURS
+from mocap_calib.notebook.colours import COLOURS
 from mocap_calib.types import CameraRig, Floats, Keypoints2D, Poses3D
 
 ROOT = Path(__file__).parents[1]
