@@ -1,5 +1,5 @@
 /*!
-Made by `make web` of sources 081d04e9c7c65e211b50def551dd09e5c5aa2b9a290bad8a0dd4fe4ad363d5d2
+Made by `make web` of sources e0d4281d81f55c119ad88b785d2d004ae0fa39e3c3b7aaf54b122c9c964ff166
 
 three 0.187.0
 
