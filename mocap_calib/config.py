@@ -202,8 +202,8 @@ class AdjustConfig:
     low_confidence_share: float = 0.3
     enough_detections: int = 1000
     least_keypoints: int = 12  # a camera is constrained by: twice what would do without any noise
-    rounds: int = 6  # of adjusting and matching; it stops when no label changes
-    still_deg: float = 0.05  # and no camera turns by more than this
+    rounds: int = 6  # of adjusting and matching; they end when ...
+    still_deg: float = 0.05  # ... no camera turns by more than this
 
 
 # what of the intrinsics may be estimated

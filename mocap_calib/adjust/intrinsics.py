@@ -21,7 +21,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.rig import Observed, leave_out_underconstrained
-from mocap_calib.rig.associate import associate, have_same_groups
+from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import average
 from mocap_calib.rig.view_graph import camera_groups
 from mocap_calib.types import (
@@ -211,7 +211,7 @@ def _lenses_differ(found: _Estimate, config: Config) -> bool:
 def _settle(
     found: _Estimate, *, given: Sample, config: Config, lifted: LiftedPoses, progress: Progress
 ) -> _Estimate:
-    """Adjust, take the rays anew and match again, until the focal lengths and the groups stay.
+    """Adjust, take the rays anew and match again, until the focal lengths stay.
 
     given: the sample with the intrinsics that were given.
     """
@@ -227,7 +227,7 @@ def _settle(
         found = replace(found, rig=rig, sample=sample, matches=matches)
         progress("intrinsics", done, rounds)
         change = np.abs(found.change[:, 0] - before.change[:, 0]).max()
-        if change < still and have_same_groups(found.matches, before.matches):
+        if change < still:
             break
     return found
 

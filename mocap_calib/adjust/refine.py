@@ -13,7 +13,7 @@ from mocap_calib.geometry.lens import points_in_cameras, project_views
 from mocap_calib.geometry.rotation import angle_between, with_size_of
 from mocap_calib.results import Adjusted, LiftedPoses, Matches
 from mocap_calib.rig import Tracks, gather_tracks, labelled_frames, measure_residuals
-from mocap_calib.rig.associate import associate, have_same_groups
+from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import factorise, label_single_subject
 from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Progress, Sample, silent
@@ -106,22 +106,20 @@ def adjust_until_stable(
     lifted: LiftedPoses,
     progress: Progress,
 ) -> Adjusted:
-    """Adjust, match by the adjusted rig, and adjust again until nothing changes.
+    """Adjust, match by the adjusted rig, and adjust again until no camera turns any more.
 
-    It ends when no detection changes its group and no camera turns any more, or after
-    `config.adjust.rounds` rounds. Raises DegenerateError where what was matched does not
-    constrain the rig.
+    It ends after `config.adjust.rounds` rounds at the latest; the first one, which is rough, never
+    ends it. Raises DegenerateError where what was matched does not constrain the rig.
     """
     rounds = config.adjust.rounds
     for done in range(1, rounds + 1):
-        adjusted = adjust_once(sample, rig, matches, config, already_close=done > 1)
+        before = rig
+        rig = adjust_once(sample, before, matches, config, already_close=done > 1)
         progress("adjust", done, rounds)
-        matches_again = associate(sample, lifted, adjusted, config, progress=silent)
-        still = _largest_turn_deg(rig, adjusted) < config.adjust.still_deg
-        converged = have_same_groups(matches_again, matches) and still
-        rig, matches = adjusted, matches_again
+        converged = done > 1 and _largest_turn_deg(before, rig) < config.adjust.still_deg
         if converged:
             break
+        matches = associate(sample, lifted, rig, config, progress=silent)
     return Adjusted(
         rig=rig,
         matches=matches,

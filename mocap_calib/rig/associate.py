@@ -141,11 +141,6 @@ def label_all_frames(
     return Matches(labels)
 
 
-def have_same_groups(first: Matches, second: Matches) -> bool:
-    """Return whether two labellings group the same detections in every frame, by any name."""
-    return np.array_equal(per_frame_labels(first).labels, per_frame_labels(second).labels)
-
-
 def _geometric_affinity(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, frames: Ints, config: PairwiseConfig
 ) -> tuple[Floats, Floats]:
