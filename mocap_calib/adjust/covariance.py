@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from mocap_calib.adjust.problem import Problem, choose_problem, free_poses, solve
-from mocap_calib.adjust.residuals import Part, Residuals, State, parts_of
+from mocap_calib.adjust.residuals import Block, Residuals, State
 from mocap_calib.adjust.solve import Parameters, eliminate_points, optimise_points
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import AdjustConfig, Config
@@ -63,24 +63,20 @@ class Covariance:
 
 
 def find_covariance(
-    state: State,
-    seen: Residuals,
-    parameters: Parameters,
-    *,
-    period: Ints,
-    joint: Ints,
-    scale: float,
+    problem: Problem, state: State, seen: Residuals, parameters: Parameters, config: Config
 ) -> Covariance:
     """Return the covariance of the free parameters at a minimum, at the size that the rig has.
 
-    period, joint: `[N]` numbers of the clusters of the points. scale: of the loss.
+    problem: of which the state is the minimum; its points are in clusters, of one period or joint.
 
     Cauchy's loss w s^2 log(1 + r'r / s^2) of a residual r, of two coordinates, has the curvature
     u (I - 2 u r r' / (w s^2)) where its weight is u = w / (1 + r'r / s^2). Residuals lie in the
     directions in which their points cannot follow, which are less than two of each.
     """
-    system, scores, curvature = gather_information(state, seen, parameters, scale)
+    system, scores, curvature = gather_information(state, seen, parameters, problem.loss_scale)
     inverse = _inverse_at_size(curvature * system, state, parameters)
+    period = problem.tracks.time_blocks(config.uncertainty.time_blocks)
+    joint = problem.tracks.keypoint
     time, joints = (scatter_of(scores, cluster) for cluster in (period, joint))
     both = scatter_of(scores, period * (joint.max(initial=0) + 1) + joint)
     # in standard deviations of independent errors, so that all directions count alike
@@ -101,8 +97,9 @@ def gather_information(
     And `[free, N]` what the detections of each point add to its gradient, and the curvature of the
     cost, as a share of that with fixed weights. scale: of the loss.
     """
-    parts = parts_of(state, seen)
-    work = map_in_threads(lambda part: _information_of(part, parameters, scale), parts)
+    work = map_in_threads(
+        lambda block: _information_of(block, state, parameters, scale), seen.blocks
+    )
     systems, scores, sums = zip(*work, strict=True)
     stiffness, _ = parameters.prior(state.intrinsics)
     prior = parameters.basis.T @ (stiffness.reshape(-1, 1) * parameters.basis)
@@ -118,15 +115,15 @@ def gather_information(
 
 
 def _information_of(
-    part: Part, parameters: Parameters, scale: float
+    block: Block, state: State, parameters: Parameters, scale: float
 ) -> tuple[Floats, Floats, tuple[float, float]]:
     """Return the information of a block of points, and the sums of u and of u^2 r'r / (w s^2)."""
-    basis = parameters.by_view[part.views].reshape(-1, parameters.basis.shape[1])
-    found = eliminate_points(part, scale, steps=0)
+    basis = parameters.by_view[block.views].reshape(-1, parameters.basis.shape[1])
+    found = eliminate_points(block, state, scale, steps=0)
     residual = found.linear.residual
     scores = np.einsum("vckn,vkn->vcn", found.camera, residual).reshape(len(basis), -1)
     scores -= np.einsum("cjn,jn->cn", found.product, found.side)
-    weight = part.seen.weight[:, part.block]
+    weight = block.seen.weight
     # residuals are weighted by u: this is u r'r / (w s^2), and u / w is 1 less it
     square = (residual**2).sum(1) / np.where(weight > 0, weight, 1.0) / scale**2
     robust = weight * (1 - square)
@@ -174,58 +171,32 @@ def size_direction(state: State, parameters: Parameters) -> Floats:
 # --- the poses of a rig
 
 
-@dataclass(frozen=True)
-class FittedRig:
-    """A rig adjusted to the points of a problem; state: the rig and its points."""
-
-    problem: Problem
-    state: State
-
-    @property
-    def rig(self) -> CameraRig:
-        """The adjusted rig."""
-        state = self.state
-        return replace(self.problem.rig, rotation=state.rotation, translation=state.translation)
-
-    def change(self, state: State) -> Floats:
-        """Return the turns `[view, 3]` of the cameras of another state from those of the rig."""
-        rig = replace(self.rig, rotation=state.rotation, translation=state.translation)
-        return rig_change(self.rig, rig)[:, :3]
-
-    def without(self, points: Ints, config: Config) -> State:
-        """Return the state of cameras adjusted to some of the points (indices) alone."""
-        some = self.problem.select(points)
-        start = self.state.with_points(self.state.points[:, points])
-        return _solve_again(start, some, config.adjust)
-
-
-def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> FittedRig:
-    """Return a rig adjusted again, to as many points as its covariance needs.
+def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Problem:
+    """Return the problem of a rig adjusted again, to as many points as its covariance needs.
 
     Raises as `choose_problem` does.
     """
     # correlated detections determine no more by being many
     problem = choose_problem(sample, rig, matches, config, points=config.uncertainty.points)
-    state = _solve_again(problem.start(), problem, config.adjust)
-    state = optimise_points(state, problem.rays, loss_scale=problem.loss_scale)
-    kept = np.flatnonzero(~_at_a_camera(problem, state, config.uncertainty.least_distance))
-    return FittedRig(problem.select(kept), state.with_points(state.points[:, kept]))
+    state = _solve_again(problem, config.adjust)
+    fitted = problem.at(optimise_points(state, problem.rays, loss_scale=problem.loss_scale))
+    return fitted.select(np.flatnonzero(~_at_a_camera(fitted, config.uncertainty.least_distance)))
 
 
-def _solve_again(start: State, problem: Problem, config: AdjustConfig) -> State:
+def _solve_again(problem: Problem, config: AdjustConfig) -> State:
     """Return the state at the minimum that it is close to; its points have yet to be optimised."""
     poses = free_poses(len(problem.rig))
-    return solve(start, problem.rays, poses, config, last=problem.loss_scale, already_close=True)
+    last = problem.loss_scale
+    return solve(problem.start(), problem.rays, poses, config, last=last, already_close=True)
 
 
-def _at_a_camera(problem: Problem, state: State, least: float) -> Bools:
+def _at_a_camera(problem: Problem, least: float) -> Bools:
     """Return which points `[N]` are next to a camera that sees them.
 
     Rays of different things have met there. The image of such a point changes so fast that its
     rounding errors outweigh all other points. least: distance, in usual ones of the camera.
     """
-    centres = -np.einsum("vji,vj->vi", state.rotation, state.translation)
-    distance = np.linalg.norm(state.points - centres[:, :, None], axis=1)  # [view, N]
+    distance = np.linalg.norm(problem.points - problem.rig.centres[:, :, None], axis=1)  # [view, N]
     distance = np.where(problem.tracks.used, distance, np.nan)
     usual = np.nanmedian(distance, axis=1, keepdims=True)
     return np.asarray((distance < least * usual).any(0))
@@ -246,7 +217,7 @@ def rig_covariance(
     return covariance_of(fitted, config)
 
 
-def covariance_of(fitted: FittedRig, config: Config) -> RigCovariance:
+def covariance_of(fitted: Problem, config: Config) -> RigCovariance:
     """Return the covariance of a rig; see `rig_covariance`."""
     rig, found = fitted.rig, first_order(fitted, config)
     time, joints = (_of_poses(part, rig) for part in (found.by_time, found.by_joint))
@@ -255,7 +226,7 @@ def covariance_of(fitted: FittedRig, config: Config) -> RigCovariance:
     # bend^4: what parts of the errors do beyond first order, all of them together do once more.
     usual = config.uncertainty.usual_bend
     bend = np.sqrt(variance_of_parts(fitted, config) / max(of_time, 1e-30))
-    frames, matched = distinct_frames(fitted.problem), np.unique(fitted.problem.tracks.frame)
+    frames, matched = distinct_frames(fitted), np.unique(fitted.tracks.frame)
     if frames == 1:  # it has no parts
         bend = usual
     elif len(matched) >= config.uncertainty.time_blocks:  # chance alone makes it as large
@@ -294,7 +265,7 @@ def distinct_frames(problem: Problem) -> int:
     return count
 
 
-def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:
+def cautious_covariances(fitted: Problem, config: Config) -> tuple[RigCovariance, RigCovariance]:
     """Return the covariance of first order with a margin, and that of independent errors.
 
     The second is too small, but has the shape that the images give it.
@@ -303,27 +274,18 @@ def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovarian
     return _of_poses(found.cautious, fitted.rig), _of_poses(found.independent, fitted.rig)
 
 
-def first_order(fitted: FittedRig, config: Config) -> Covariance:
+def first_order(fitted: Problem, config: Config) -> Covariance:
     """Return the covariance of first order of the poses of all cameras but the first."""
-    problem = fitted.problem
-    return find_covariance(
-        fitted.state,
-        problem.rays,
-        free_poses(len(problem.rig)),
-        period=problem.tracks.time_blocks(config.uncertainty.time_blocks),
-        joint=problem.tracks.keypoint,
-        scale=problem.loss_scale,
-    )
+    poses = free_poses(len(fitted.rig))
+    return find_covariance(fitted, fitted.start(), fitted.rays, poses, config)
 
 
-def _degrees_of_freedom(
-    fitted: FittedRig, of_time: float, of_joints: float, config: Config
-) -> float:
+def _degrees_of_freedom(fitted: Problem, of_time: float, of_joints: float, config: Config) -> float:
     """Return the degrees of freedom of a covariance estimated from few clusters.
 
     Of G clusters G - 1 (Satterthwaite 1946, of the sum of two such variances).
     """
-    tracks = fitted.problem.tracks
+    tracks = fitted.tracks
     periods, joints = (
         max(len(np.unique(cluster)) - 1, 1)
         for cluster in (tracks.time_blocks(config.uncertainty.time_blocks), tracks.keypoint)
@@ -371,12 +333,12 @@ def _of_poses(matrix: Floats, rig: CameraRig) -> RigCovariance:
 # --- rigs of parts of the recording
 
 
-def variance_of_parts(fitted: FittedRig, config: Config) -> float:
+def variance_of_parts(fitted: Problem, config: Config) -> float:
     """Return the variance of all turns (square radians) by rigs without a fifth of the recording.
 
     By the jackknife; 0 of a single frame.
     """
-    tracks = fitted.problem.tracks
+    tracks = fitted.tracks
     frames = len(np.unique(tracks.frame))
     if frames == 1:
         return 0.0
@@ -384,7 +346,8 @@ def variance_of_parts(fitted: FittedRig, config: Config) -> float:
 
     def without(number: int) -> Floats:
         """Return the turns of the cameras without a part."""
-        return fitted.change(fitted.without(np.flatnonzero(part != number), config))
+        some = fitted.select(np.flatnonzero(part != number))
+        return rig_change(fitted.rig, some.at(_solve_again(some, config.adjust)).rig)[:, :3]
 
     return jackknife(np.stack([*map_in_threads(without, range(int(part.max()) + 1))]))
 

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from mocap_calib.adjust.covariance import Covariance, find_covariance
-from mocap_calib.adjust.problem import choose_problem, free_intrinsics, solve
+from mocap_calib.adjust.problem import choose_problem, free_parameters, solve
 from mocap_calib.adjust.refine import placed_as
 from mocap_calib.adjust.residuals import State, changed_cameras
 from mocap_calib.adjust.solve import Parameters, optimise_points
@@ -247,7 +247,7 @@ def _adjust(
     prior = np.array([settings.focal_uncertainty, settings.k1_uncertainty])[:intrinsics]
     # detections weigh as if they erred independently: the prior weighs more by the same factor
     prior = prior / np.sqrt(found.overconfidence)
-    free = free_intrinsics(shared_intrinsics(given, settings), prior)
+    free = free_parameters(shared_intrinsics(given, settings), prior)
     start = problem.start(found.change)
     state = solve(
         start,
@@ -258,14 +258,7 @@ def _adjust(
         already_close=already_close,
     )
     state = optimise_points(state, seen, loss_scale=problem.loss_scale)
-    covariance = find_covariance(
-        state,
-        seen,
-        free,
-        period=problem.tracks.time_blocks(config.uncertainty.time_blocks),
-        joint=problem.tracks.keypoint,
-        scale=problem.loss_scale,
-    )
+    covariance = find_covariance(problem, state, seen, free, config)
     estimate = replace(
         found,
         change=state.intrinsics,

@@ -5,12 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
-from mocap_calib.adjust.residuals import PixelResiduals, RayResiduals, Residuals, State
+from mocap_calib.adjust.residuals import Residuals, State
 from mocap_calib.adjust.solve import Parameters, minimise
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.intersection import order_by_views
-from mocap_calib.kernels.jit import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Matches
 from mocap_calib.rig import (
@@ -41,22 +40,27 @@ class Problem:
     loss_scale: float
 
     @cached_property
-    def rays(self) -> RayResiduals:
+    def rays(self) -> Residuals:
         """Residuals where the intrinsics are those of the rig."""
         tracks = self.tracks
-        return RayResiduals.of(self.rig.cameras, tracks.rays, self.noise, tracks.weight)
+        return Residuals.of_rays(self.rig.cameras, tracks.rays, self.noise, tracks.weight)
 
-    def pixels(self, cameras: tuple[Camera, ...]) -> PixelResiduals:
+    def pixels(self, cameras: tuple[Camera, ...]) -> Residuals:
         """Return residuals whose intrinsics change from those of some cameras."""
-        pixels, weight = contiguous(np.nan_to_num(self.tracks.pixels), self.tracks.weight)
-        focal = np.array([camera.focal for camera in self.rig.cameras])
-        return PixelResiduals(cameras, pixels, sigma=self.noise * focal, weight=weight)
+        pixels = np.nan_to_num(self.tracks.pixels)
+        sigma = self.noise * [camera.focal for camera in self.rig.cameras]
+        return Residuals.of_pixels(cameras, pixels, sigma, self.tracks.weight)
 
     def start(self, intrinsics: Floats | None = None) -> State:
         """Return the state of the rig; intrinsics: `[view, intrinsic]` changes, None: known."""
         known = np.zeros((len(self.rig), 0))
         given = known if intrinsics is None else intrinsics
         return State(self.rig.rotation, self.rig.translation, self.points, given)
+
+    def at(self, state: State) -> "Problem":
+        """Return the problem with the poses and the points of a state."""
+        rig = replace(self.rig, rotation=state.rotation, translation=state.translation)
+        return replace(self, rig=rig, points=state.points)
 
     def select(self, points: Ints) -> "Problem":
         """Return the problem of some of the points, given their indices."""
@@ -88,44 +92,31 @@ def solve(
 
 
 def free_poses(views: int) -> Parameters:
-    """Return free poses of cameras whose intrinsics are known.
-
-    The first camera stays where it is: it is the frame of the world.
-    """
-    return free_intrinsics(np.arange(views), np.zeros((views, 0)))
+    """Return free poses of cameras whose intrinsics are known, see `free_parameters`."""
+    return free_parameters(np.arange(views), np.zeros((views, 0)))
 
 
-def free_intrinsics(group: Ints, sigma: Floats) -> Parameters:
+def free_parameters(group: Ints, sigma: Floats) -> Parameters:
     """Return free poses and intrinsics.
 
-    group: `[view]` cameras of one number share the changes of their intrinsics.
-    sigma: `[view, intrinsic]` standard deviation of a change, the same in all views of a group.
+    The first camera stays where it is: it is the frame of the world.
+
+    group: `[view]` cameras of one number share the changes of their intrinsics; those of -1 have
+        none. sigma: `[view, intrinsic]` standard deviation of a change, the same in all views of a
+        group.
     """
     views, intrinsics = sigma.shape
     first_free = POSE * (views - 1)
-    groups, of_view, sizes = np.unique(group, return_inverse=True, return_counts=True)
+    groups, of_view, sizes = np.unique(group[group >= 0], return_inverse=True, return_counts=True)
     basis = np.zeros((views, POSE + intrinsics, first_free + len(groups) * intrinsics))
-    for view in range(views):
-        if view > 0:
-            basis[view, :POSE, POSE * (view - 1) : POSE * view] = np.eye(POSE)
-        start = first_free + of_view[view] * intrinsics
+    for view in range(1, views):
+        basis[view, :POSE, POSE * (view - 1) : POSE * view] = np.eye(POSE)
+    precision = 1 / sigma**2
+    for view, number in zip(np.flatnonzero(group >= 0).tolist(), of_view.tolist(), strict=True):
+        start = first_free + number * intrinsics
         basis[view, POSE:, start : start + intrinsics] = np.eye(intrinsics)
-    precision = 1 / (sigma**2 * sizes[of_view][:, None])
+        precision[view] /= sizes[number]
     return Parameters(basis=basis.reshape(-1, basis.shape[2]), precision=precision)
-
-
-def free_clocks(free: Bools, sigma: float) -> Parameters:
-    """Return free poses, and free offsets of some clocks.
-
-    free: `[view]` the cameras whose clocks may change; that of the first camera must stay.
-    sigma: standard deviation of an offset, in frames.
-    """
-    every = np.eye(7 * len(free)).reshape(len(free), 7, -1)
-    unknown = np.ones((len(free), 7), dtype=bool)
-    unknown[0, :POSE] = False
-    unknown[:, POSE] = free
-    basis = every.reshape(7 * len(free), -1)[:, unknown.ravel()]
-    return Parameters(basis=basis, precision=np.full((len(free), 1), sigma**-2))
 
 
 # --- which detections the rig is adjusted to

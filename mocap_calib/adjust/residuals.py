@@ -9,7 +9,7 @@ first order in pixels: any lens will do, without its derivatives.
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from functools import cached_property
 
 import numpy as np
 
@@ -68,43 +68,33 @@ class Linearised:
     cost: float
 
 
-class Residuals(Protocol):
-    """What the cameras saw of N points, as residuals; weight: `[view, N]`, 0 = not seen."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Residuals:
+    """What the cameras saw of N points, as residuals.
 
-    @property
-    def weight(self) -> Floats:
-        """What each detection counts for."""
-
-    def linearise(
-        self, block: slice, state: State, loss_scale: float, steps: int = POINT_STEPS
-    ) -> Linearised:
-        """Return the residuals of a block of points about a state, the points optimised first.
-
-        steps: of each point, at most; none leaves the points where they are.
-        """
-
-    def part(self, views: Ints, block: slice, /) -> Self:
-        """Return the residuals of a block of points in some views."""
-
-
-@dataclass(frozen=True)
-class RayResiduals:
-    """Residuals against rays.
-
-    rays: `[view, 3, N]` unit vectors in each camera's frame.
-    metric: `[view, 2, 3, N]` turns a direction into the residual at its ray, in standard
-        deviations.
+    seen: `[view, 3, N]` unit rays in each camera's frame; or `[view, 2, N]` pixels, any number
+        where nothing was seen, of cameras whose lenses are adjusted.
     weight: `[view, N]`, 0 = not seen.
+    metric: `[view, 2, 3, N]` turns a direction into the residual at its ray, in standard
+        deviations; `[view, 2, 3, 0]` of pixels.
+    cameras: of pixels, with the intrinsics that a state changes: log focal length and, where it
+        has two intrinsics, k1. sigma: `[view]` of pixels, standard deviation of a coordinate.
+    motion: `[2, 3, N]` velocity and acceleration, in lengths by frame, of points that move, each on
+        a parabola about where it is in its own frame. The one intrinsic of a camera is then the
+        offset of its clock in frames.
     """
 
-    rays: Floats
-    metric: Floats
+    seen: Floats
     weight: Floats
+    metric: Floats
+    cameras: tuple[Camera, ...] = ()
+    sigma: Floats | None = None
+    motion: Floats | None = None
 
     @classmethod
-    def of(
+    def of_rays(
         cls, cameras: tuple[Camera, ...], rays: Floats, noise: Floats, weight: Floats
-    ) -> "RayResiduals":
+    ) -> "Residuals":
         """Return residuals in standard deviations, to first order those of pixels.
 
         rays: `[view, 3, N]`, NaN = missing. noise: `[view]` in radians. weight: `[view, N]`.
@@ -116,61 +106,76 @@ class RayResiduals:
         for view, camera in enumerate(cameras):
             slopes = _pixels_per_ray(camera, rays[view]) / (noise[view] * camera.focal)
             metric[view] = np.where(used[view], np.nan_to_num(slopes), 0.0)
-        return cls(*contiguous(rays, metric, weight))
+        return cls(rays, weight, metric)
 
-    def part(self, views: Ints, block: slice) -> "RayResiduals":
-        """Return the residuals of a block of points in some views."""
-        rays, metric = self.rays[views, :, block], self.metric[views, :, :, block]
-        return RayResiduals(*contiguous(rays, metric, self.weight[views, block]))
+    @classmethod
+    def of_pixels(
+        cls, cameras: tuple[Camera, ...], pixels: Floats, sigma: Floats, weight: Floats
+    ) -> "Residuals":
+        """Return residuals of lenses that are adjusted; see the class."""
+        return cls(pixels, weight, np.empty((len(pixels), 2, 3, 0)), cameras, sigma)
 
-    def linearise(
-        self, block: slice, state: State, loss_scale: float, steps: int = POINT_STEPS
-    ) -> Linearised:
-        """Return the residuals about a state, r = M x / (u'x) of a ray u and its metric M."""
-        given = state.translation[:, :, None], _NO_LENS, self.rays, self.metric, self.weight
-        return _linearise(given, block, state, loss_scale=loss_scale, steps=steps)
+    @cached_property
+    def blocks(self) -> "list[Block]":
+        """The points in blocks, each with the cameras that see it."""
+        starts = range(0, self.weight.shape[1], _BLOCK)
+        return [self._block(slice(start, start + _BLOCK)) for start in starts]
+
+    def _block(self, points: slice) -> "Block":
+        """Return a block of points."""
+        views = np.flatnonzero((self.weight[:, points] > 0).any(1))
+        own = self.seen[views, :, points], self.weight[views, points]
+        seen, weight, metric = contiguous(*own, self.metric[views, :, :, points])
+        cameras = tuple(self.cameras[view] for view in views if self.cameras)
+        sigma = None if self.sigma is None else self.sigma[views]
+        motion = None if self.motion is None else self.motion[..., points]
+        return Block(views, points, Residuals(seen, weight, metric, cameras, sigma, motion))
+
+    def linearise(self, state: State, loss_scale: float, steps: int = POINT_STEPS) -> Linearised:
+        """Return the residuals about a state, the points optimised first.
+
+        Against rays u with the metric M they are r = M x / (u'x); of points that move, where each
+        is at the time of its view. steps: of each point, at most; none leaves the points where they
+        are.
+        """
+        points, origin = state.points.copy(order="C"), state.translation[:, :, None]
+        (views, intrinsics), count = state.intrinsics.shape, points.shape[1]
+        if self.motion is not None:
+            time, (velocity, acceleration) = state.intrinsics[:, :, None], self.motion
+            origin = origin + state.rotation @ (time * velocity + time**2 / 2 * acceleration)
+        lenses = _NO_LENS
+        if self.sigma is not None:  # kernels take all lengths in standard deviations
+            lenses = lens.rows(changed_cameras(self.cameras, state.intrinsics))
+            lenses[:, 1:6] /= self.sigma[:, None]
+        in_camera, residual = np.empty((views, 3, count)), np.empty((views, 2, count))
+        by_point = np.empty((views, 2, 3, count))
+        by_intrinsics = np.empty((views, 2, intrinsics, count))
+        options = np.array([loss_scale**2, _BEHIND, _POINT_GAIN])
+        given = state.rotation, origin, lenses, self.seen, self.metric, self.weight, options
+        found = points, in_camera, by_point, by_intrinsics, residual
+        cost = kernels.optimise_points(*contiguous(*given), steps, *found)
+        if self.motion is not None:
+            by_time = state.rotation @ (velocity + time * acceleration)
+            by_intrinsics[:, :, 0] = np.einsum("vkin,vin->vkn", by_point, by_time)
+        return Linearised(*found, cost)
 
 
 @dataclass(frozen=True)
-class PixelResiduals:
-    """Residuals against pixels, of lenses that are adjusted.
+class Block:
+    """Points that are worked on at a time, and the cameras that see any: in a large hall, a few.
 
-    cameras: with the intrinsics that a state changes: log focal length and, where it has two
-        intrinsics, k1.
-    pixels: `[view, 2, N]`, any number where nothing was seen.
-    sigma: `[view]` standard deviation of a coordinate, in pixels.
-    weight: `[view, N]`, 0 = not seen.
+    views: their indices. points: those of the block. seen: what these cameras saw of these points.
     """
 
-    cameras: tuple[Camera, ...]
-    pixels: Floats
-    sigma: Floats
-    weight: Floats
+    views: Ints
+    points: slice
+    seen: Residuals
 
-    def part(self, views: Ints, block: slice) -> "PixelResiduals":
-        """Return the residuals of a block of points in some views."""
-        pixels, weight = contiguous(self.pixels[views, :, block], self.weight[views, block])
-        cameras = tuple(self.cameras[view] for view in views)
-        return PixelResiduals(cameras, pixels, self.sigma[views], weight)
-
-    def linearise(
-        self, block: slice, state: State, loss_scale: float, steps: int = POINT_STEPS
-    ) -> Linearised:
-        """Return the residuals about a state."""
-        origin = state.translation[:, :, None]
-        no_metric = np.empty((len(self.pixels), 2, 3, 0))
-        given = origin, self._lens_rows(state), self.pixels, no_metric, self.weight
-        return _linearise(given, block, state, loss_scale=loss_scale, steps=steps)
-
-    def _lens_rows(self, state: State) -> Floats:
-        """Return the lenses `[view, 14]` with the intrinsics of a state.
-
-        Kind (1 Brown and Conrady's, 2 fisheye), a pixel, focal lengths and principal point, all in
-        standard deviations, and coefficients.
-        """
-        rows = lens.rows(changed_cameras(self.cameras, state.intrinsics))
-        rows[:, 1:6] /= self.sigma[:, None]
-        return rows
+    def state(self, whole: State) -> State:
+        """Return the part of a state that the block depends on."""
+        views, points = self.views, whole.points[:, self.points]
+        pose = whole.rotation[views], whole.translation[views]
+        return State(*pose, points, whole.intrinsics[views])
 
 
 def changed_cameras(cameras: tuple[Camera, ...], intrinsics: Floats) -> tuple[Camera, ...]:
@@ -181,58 +186,6 @@ def changed_cameras(cameras: tuple[Camera, ...], intrinsics: Floats) -> tuple[Ca
         lens.change_intrinsics(camera, log_focal=log_focal, k1=k1)
         for camera, (log_focal, k1) in zip(cameras, changes, strict=True)
     )
-
-
-@dataclass(frozen=True)
-class Part:
-    """A block of points, and the cameras that see it: in a large hall, a few of all.
-
-    views: their indices. points: the block. block: where it is in `state` and `seen`.
-    """
-
-    views: Ints
-    points: slice
-    block: slice
-    state: State
-    seen: Residuals
-
-
-def parts_of(state: State, seen: Residuals) -> list[Part]:
-    """Return the blocks of points that are worked on at a time."""
-    count = state.points.shape[1]
-    starts = range(0, count, _BLOCK)
-    return [_part_of(slice(start, min(start + _BLOCK, count)), state, seen) for start in starts]
-
-
-def _part_of(block: slice, state: State, seen: Residuals) -> Part:
-    """Return a block of points and the cameras that see it."""
-    views = np.flatnonzero((seen.weight[:, block] > 0).any(1))
-    if len(views) in (0, len(seen.weight)):
-        return Part(np.arange(len(seen.weight)), block, block, state, seen)
-    points = state.points[:, block]
-    own = State(state.rotation[views], state.translation[views], points, state.intrinsics[views])
-    return Part(views, block, slice(0, points.shape[1]), own, seen.part(views, block))
-
-
-def _linearise(
-    given: tuple[Floats, ...],
-    block: slice,
-    state: State,
-    *,
-    loss_scale: float,
-    steps: int,
-) -> Linearised:
-    """Return what the kernel makes of a block of points; given: what was seen, as it takes it."""
-    points = state.points[:, block].copy(order="C")
-    (views, intrinsics), count = state.intrinsics.shape, points.shape[1]
-    in_camera, residual = np.empty((views, 3, count)), np.empty((views, 2, count))
-    by_point = np.empty((views, 2, 3, count))
-    by_intrinsics = np.empty((views, 2, intrinsics, count))
-    options = np.array([loss_scale**2, _BEHIND, _POINT_GAIN])
-    given = (*contiguous(state.rotation, *given), options)
-    found = points, in_camera, by_point, by_intrinsics, residual
-    cost = kernels.optimise_points(block.start, *given, steps, *found)
-    return Linearised(*found, cost)
 
 
 def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:
@@ -247,70 +200,9 @@ def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:
     return np.concatenate([slopes, -along[:, None]], axis=1)
 
 
-# --- points that move
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Motion:
-    """The parabolas on which N points move, about where each is in its own frame.
-
-    velocity: `[3, N]` in lengths by frame. acceleration: `[3, N]` in lengths by frame squared.
-    """
-
-    velocity: Floats
-    acceleration: Floats
-
-    def displacement(self, frames: Floats) -> Floats:
-        """Return how far the points move in times `[view]` in frames, `[view, 3, N]`."""
-        time = frames[:, None, None]
-        return time * self.velocity + time**2 / 2 * self.acceleration
-
-    def velocity_after(self, frames: Floats) -> Floats:
-        """Return the velocity of the points after times `[view]` in frames, `[view, 3, N]`."""
-        return self.velocity + frames[:, None, None] * self.acceleration
-
-    def select(self, points: slice | Ints) -> "Motion":
-        """Return the motion of some of the points."""
-        return Motion(self.velocity[:, points], self.acceleration[:, points])
-
-
-@dataclass(frozen=True)
-class TimedRayResiduals:
-    """Residuals of points that move, against the rays of cameras whose clocks differ.
-
-    The one intrinsic of a camera is the offset of its clock in frames.
-    motion: of the points in the world.
-    """
-
-    rays: RayResiduals
-    motion: Motion
-
-    @property
-    def weight(self) -> Floats:
-        """What each detection counts for."""
-        return self.rays.weight
-
-    def part(self, views: Ints, block: slice) -> "TimedRayResiduals":
-        """Return the residuals of a block of points in some views."""
-        return TimedRayResiduals(self.rays.part(views, block), self.motion.select(block))
-
-    def linearise(
-        self, block: slice, state: State, loss_scale: float, steps: int = POINT_STEPS
-    ) -> Linearised:
-        """Return the residuals about a state, each point where it is at the time of its view."""
-        motion, offset = self.motion.select(block), state.intrinsics[:, 0]
-        shift = np.matmul(state.rotation, motion.displacement(offset))
-        origin = state.translation[:, :, None] + shift
-        given = origin, _NO_LENS, self.rays.rays, self.rays.metric, self.weight
-        found = _linearise(given, block, state, loss_scale=loss_scale, steps=steps)
-        velocity = np.matmul(state.rotation, motion.velocity_after(offset))
-        by_offset = np.einsum("vkin,vin->vkn", found.by_point, velocity)[:, :, None]
-        return replace(found, by_intrinsics=np.ascontiguousarray(by_offset))
-
-
-def motion_between(from_last: Floats, to_next: Floats, step: int) -> Motion:
-    """Return the motion of points that are known `step` frames before and after, too.
+def motion_between(from_last: Floats, to_next: Floats, step: int) -> Floats:
+    """Return the motion `[2, 3, N]` of points that are known `step` frames before and after, too.
 
     from_last, to_next: `[3, N]` how far they come and go.
     """
-    return Motion((to_next + from_last) / (2 * step), (to_next - from_last) / step**2)
+    return np.stack([(to_next + from_last) / (2 * step), (to_next - from_last) / step**2])

@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from mocap_calib.adjust.residuals import POINT_STEPS, Linearised, Part, Residuals, State, parts_of
+from mocap_calib.adjust.residuals import POINT_STEPS, Block, Linearised, Residuals, State
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels import adjustment as kernels
@@ -141,10 +141,10 @@ def minimise(
 def optimise_points(state: State, seen: Residuals, *, loss_scale: float) -> State:
     """Return the state with the points of least cost for its cameras."""
 
-    def work(part: Part) -> Floats:
-        return part.seen.linearise(part.block, part.state, loss_scale).points
+    def work(block: Block) -> Floats:
+        return block.seen.linearise(block.state(state), loss_scale).points
 
-    points = map_in_threads(work, parts_of(state, seen))
+    points = map_in_threads(work, seen.blocks)
     return replace(state, points=np.concatenate(list(points), axis=1))
 
 
@@ -159,10 +159,9 @@ def _reduce(
     size = unknowns * len(state.rotation)
     matrix, gradient, stiffness = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     points, cost = [], 0.0
-    parts = parts_of(state, seen)
-    work = map_in_threads(lambda part: eliminate_points(part, loss_scale), parts)
-    for part, found in zip(parts, work, strict=True):
-        own = (unknowns * part.views[:, None] + np.arange(unknowns)).ravel()
+    work = map_in_threads(lambda block: eliminate_points(block, state, loss_scale), seen.blocks)
+    for block, found in zip(seen.blocks, work, strict=True):
+        own = (unknowns * block.views[:, None] + np.arange(unknowns)).ravel()
         matrix[np.ix_(own, own)] += found.matrix
         gradient[own] += found.gradient
         stiffness[own] += found.stiffness
@@ -200,21 +199,27 @@ class Eliminated:
     stiffness: Floats
 
 
-def eliminate_points(part: Part, loss_scale: float, *, steps: int = POINT_STEPS) -> Eliminated:
-    """Return the system of the cameras of a block, its points optimised by so many steps."""
-    linear = part.seen.linearise(part.block, part.state, loss_scale, steps)
+def eliminate_points(
+    block: Block, state: State, loss_scale: float, *, steps: int = POINT_STEPS
+) -> Eliminated:
+    """Return the system of the cameras of a block, its points optimised by so many steps.
+
+    state: of all cameras and points.
+    """
+    rotation = state.rotation[block.views]
+    linear = block.seen.linearise(block.state(state), loss_scale, steps)
     (views, _, count), unknowns = linear.in_camera.shape, POSE + linear.by_intrinsics.shape[2]
     camera, side = np.empty((views, unknowns, 2, count)), np.empty((3, count))
     product = np.empty((views * unknowns, 3, count))
     given = linear.in_camera, linear.by_point, linear.by_intrinsics, linear.residual
-    kernels.reduced(*contiguous(part.state.rotation, *given, camera, product, side))
+    kernels.reduced(*contiguous(rotation, *given, camera, product, side))
     rows, turned = camera.reshape(views, unknowns, -1), product.reshape(len(product), -1)
     blocks = np.matmul(rows, np.swapaxes(rows, 1, 2))
     gradient = np.matmul(rows, linear.residual.reshape(views, -1, 1)).ravel()
     matrix = -(turned @ turned.T)
-    for view, block in enumerate(blocks):
+    for view, diagonal in enumerate(blocks):
         own = slice(unknowns * view, unknowns * (view + 1))
-        matrix[own, own] += block
+        matrix[own, own] += diagonal
     return Eliminated(
         linear=linear,
         camera=camera,

@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib.adjust.covariance import find_covariance
-from mocap_calib.adjust.problem import Problem, free_clocks, problem_of_frames
-from mocap_calib.adjust.residuals import State, TimedRayResiduals, motion_between
+from mocap_calib.adjust.problem import Problem, free_parameters, problem_of_frames
+from mocap_calib.adjust.residuals import State, motion_between
 from mocap_calib.adjust.solve import minimise, optimise_points
 from mocap_calib.config import TYPICAL_PERCENTILE, Config, TriangulateConfig
 from mocap_calib.geometry import lens
@@ -154,12 +154,13 @@ def _estimate(
     triples: `[3, N]` as of `_find_triples`; the points in the middle are adjusted.
     """
     rig, loss_scale, own = problem.rig, problem.loss_scale, problem.select(triples[1])
-    freedom = free_clocks(free, _MOST_OFFSET)
+    group = np.where(free, np.arange(len(free)), -1)
+    freedom = free_parameters(group, np.full((len(free), 1), _MOST_OFFSET))
     positions, state = problem.points.copy(), own.start(np.zeros((len(free), 1)))
     for _ in range(_ROUNDS):
         last = state.intrinsics
         before, here, after = (positions[:, each] for each in triples)
-        seen = TimedRayResiduals(own.rays, motion_between(here - before, after - here, step))
+        seen = replace(own.rays, motion=motion_between(here - before, after - here, step))
         state = minimise(
             state,
             seen,
@@ -172,14 +173,7 @@ def _estimate(
         converged = np.abs(state.intrinsics - last).max() < 0.01
         if converged or np.abs(state.intrinsics).max() > _MOST_OFFSET:
             break
-    covariance = find_covariance(
-        state,
-        seen,
-        freedom,
-        period=own.tracks.time_blocks(config.uncertainty.time_blocks),
-        joint=own.tracks.keypoint,
-        scale=loss_scale,
-    )
+    covariance = find_covariance(own, state, seen, freedom, config)
     sigma = np.sqrt(freedom.by_view[:, -1] @ np.diag(covariance.cautious))
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
     return adjusted, state.intrinsics[:, 0], sigma

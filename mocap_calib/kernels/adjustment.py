@@ -77,7 +77,7 @@ def _pull(given: Any, saw: Floats, weight: Floats, point: Floats, into: Any) -> 
 
     into: the two, and `[9]` xx, xy, xz, yy, yz and zz of B'B, and B'r.
     """
-    _, turn, _, lens, _, _, _, options = given
+    turn, _, lens, _, _, _, options = given
     square, robust, sums = into
     xx = xy = xz = yy = yz = zz = by_x = by_y = by_z = 0.0
     for v in range(len(weight)):
@@ -130,23 +130,23 @@ def _solve(sums: Floats) -> tuple[float, float, float]:
 @inlined
 def _gather(given: Any, n: int, saw: Floats) -> None:
     """Set what the views saw of a point of a block, `[view, 4, 3]`."""
-    first, _, origin, _, seen, metric, _, _ = given
-    m, own = first + n, min(n, origin.shape[2] - 1)
+    _, origin, _, seen, metric, _, _ = given
+    own = min(n, origin.shape[2] - 1)
     for v in range(len(seen)):
         for i in range(3):
             saw[v, 3, i] = origin[v, i, own]
         for i in range(seen.shape[1]):
-            saw[v, 0, i] = seen[v, i, m]
+            saw[v, 0, i] = seen[v, i, n]
         if metric.shape[3] > 0:
             for k in range(2):
                 for i in range(3):
-                    saw[v, k + 1, i] = metric[v, k, i, m]
+                    saw[v, k + 1, i] = metric[v, k, i, n]
 
 
 @inlined
 def _settle(given: Any, steps: int, points: Floats) -> None:
     """Move points `[3, n]` of a block to where they cost least; given: as kernels are given."""
-    first, _, _, _, seen, _, weight, options = given
+    _, _, _, seen, _, weight, options = given
     views = len(seen)
     saw, of_view = np.empty((views, 4, 3)), np.empty(views)
     point, tried = np.empty(3), np.empty(3)
@@ -154,7 +154,7 @@ def _settle(given: Any, steps: int, points: Floats) -> None:
     next_square, next_robust, next_sums = np.zeros(views), np.zeros(views), np.empty(9)
     for n in range(points.shape[1]):
         _gather(given, n, saw)
-        of_view[:] = weight[:, first + n]
+        of_view[:] = weight[:, n]
         point[:] = points[:, n]
         _pull(given, saw, of_view, point, (square, robust, sums))
         for _ in range(steps):
@@ -191,7 +191,7 @@ def _set_own(lens: Floats, v: int, x: float, y: float, root: float, own: Floats)
 def _weigh(given: Any, points: Floats, into: Any) -> float:
     """Set what `residuals.Linearised` has of points of a block; return their cost."""
     in_camera, slope, own, residual = into
-    first, turn, _, lens, seen, _, weight, options = given
+    turn, _, lens, seen, _, weight, options = given
     views, count = len(seen), points.shape[1]
     square_scale, least = options[0], options[1]
     saw = np.zeros((views, 4, 3))
@@ -199,7 +199,7 @@ def _weigh(given: Any, points: Floats, into: Any) -> float:
     for n in range(count):
         _gather(given, n, saw)
         for v in range(views):
-            w = weight[v, first + n]
+            w = weight[v, n]
             x, y, z = _look(turn, saw, v, points[0, n], points[1, n], points[2, n])
             r, s, in_front, a, b, c, d, e, f = _residual(lens, saw, v, least, x, y, z)
             in_camera[v, 0, n], in_camera[v, 1, n], in_camera[v, 2, n] = x, y, z
@@ -218,11 +218,10 @@ def _weigh(given: Any, points: Floats, into: Any) -> float:
 
 
 @kernel(
-    "i8, f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,::1], f8[::1], "
+    "f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,::1], f8[::1], "
     "i8, f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1]"
 )
 def optimise_points(
-    first: int,
     rotation: Floats,
     origin: Floats,
     lens: Floats,
@@ -243,12 +242,12 @@ def optimise_points(
     `[view, 2, 3, n]`, own `[view, 2, intrinsic, n]` by the intrinsics, and residual `[view, 2, n]`.
 
     origin: that of the world in each camera's frame when it saw a point, `[view, 3, n]`, or
-    `[view, 3, 1]`. seen: `[view, 3, N]` rays with their metric `[view, 2, 3, N]`, where there is no
-    lens; else `[view, 2, N]` pixels of lenses `[view, lens row]`, as of
-    `PixelResiduals._lens_rows`, and no metric. options: the square of the loss scale, the least
-    depth of a point as a share of its size, and the gain that ends it. steps: of a point, at most.
+    `[view, 3, 1]`. seen: `[view, 3, n]` rays with their metric `[view, 2, 3, n]`, where there is no
+    lens; else `[view, 2, n]` pixels of lenses `[view, lens row]`, whose lengths are in standard
+    deviations, and no metric. options: the square of the loss scale, the least depth of a point as
+    a share of its size, and the gain that ends it. steps: of a point, at most.
     """
-    given = (first, rotation, origin, lens, seen, metric, weight, options)
+    given = (rotation, origin, lens, seen, metric, weight, options)
     _settle(given, steps, points)
     return _weigh(given, points, (in_camera, slope, own, residual))
 

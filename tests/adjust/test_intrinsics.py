@@ -14,7 +14,7 @@ from mocap_calib.adjust.intrinsics import (
     free_focal_lengths,
     shared_intrinsics,
 )
-from mocap_calib.adjust.problem import free_intrinsics
+from mocap_calib.adjust.problem import free_parameters
 from mocap_calib.adjust.refine import adjust
 from mocap_calib.adjust.solve import Parameters
 from mocap_calib.config import Config, IntrinsicsConfig
@@ -110,7 +110,7 @@ def certain_of(repeats: float, *, own: float) -> tuple[Covariance, Parameters]:
 
     They come in groups of equal ones, so that their gradients scatter `repeats` times as much.
     """
-    freedom = free_intrinsics(np.array([0, 0]), np.full((2, 1), 0.5))
+    freedom = free_parameters(np.array([0, 0]), np.full((2, 1), 0.5))
     curvature = np.eye(7) * np.array([*[3.0] * 6, 1 / own])
     prior = np.diag([*[0.0] * 6, 0.5**-2])
     bread = np.linalg.inv(curvature + prior)

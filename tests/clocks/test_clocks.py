@@ -8,13 +8,7 @@ import pytest
 from scenes import PEOPLE, calibrate_group, rotation_errors_deg, scene
 
 from mocap_calib.adjust.refine import adjust
-from mocap_calib.adjust.residuals import (
-    Motion,
-    RayResiduals,
-    State,
-    TimedRayResiduals,
-    motion_between,
-)
+from mocap_calib.adjust.residuals import Residuals, State, motion_between
 from mocap_calib.clocks.subframe import find_time_offsets, resample, smoothness
 from mocap_calib.config import Config
 from mocap_calib.recording.sampling import take_sample, usual_step
@@ -189,7 +183,7 @@ def test_detections_of_nobody_are_not_moved():
 # Laws
 
 
-def timed_problem() -> tuple[State, TimedRayResiduals]:
+def timed_problem() -> tuple[State, Residuals]:
     """Two cameras, fifty moving points, and offsets."""
     rng = np.random.default_rng(0)
     rig = scene(cameras=2).rig
@@ -197,16 +191,15 @@ def timed_problem() -> tuple[State, TimedRayResiduals]:
     rays = rig.rotation @ points + rig.translation[:, :, None]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     metric = rng.normal(size=(2, 2, 3, 50))
-    seen = RayResiduals(rays=rays, metric=metric, weight=np.ones((2, 50)))
-    motion = Motion(rng.normal(0, 0.1, (3, 50)), rng.normal(0, 0.05, (3, 50)))
+    motion = np.stack([rng.normal(0, 0.1, (3, 50)), rng.normal(0, 0.05, (3, 50))])
     state = State(rig.rotation, rig.translation, points, np.array([[0.2], [-0.4]]))
-    return state, TimedRayResiduals(seen, motion)
+    return state, Residuals(rays, np.ones((2, 50)), metric, motion=motion)
 
 
-def residual(state: State, seen: TimedRayResiduals, tau: Floats) -> Floats:
+def residual(state: State, seen: Residuals, tau: Floats) -> Floats:
     no_loss = 1e6
     state = replace(state, intrinsics=tau)
-    return seen.linearise(slice(0, 50), state, no_loss, steps=0).residual
+    return seen.linearise(state, no_loss, steps=0).residual
 
 
 def test_slopes_by_the_offset_are_differences():
@@ -214,15 +207,16 @@ def test_slopes_by_the_offset_are_differences():
     nudge = 1e-6
     tau = state.intrinsics
     difference = residual(state, seen, tau + nudge) - residual(state, seen, tau - nudge)
-    slopes = seen.linearise(slice(0, 50), state, 1e6, steps=0).by_intrinsics
+    slopes = seen.linearise(state, 1e6, steps=0).by_intrinsics
     np.testing.assert_allclose(slopes[:, :, 0], difference / (2 * nudge), rtol=1e-5, atol=1e-7)
 
 
 def test_motion_goes_through_the_neighbours():
     rng = np.random.default_rng(0)
     before, here, after = rng.normal(size=(3, 3, 7))
-    motion = motion_between(here - before, after - here, 2)
-    moved = motion.displacement(np.array([-2.0, 0.0, 2.0]))
+    velocity, acceleration = motion_between(here - before, after - here, 2)
+    time = np.array([-2.0, 0.0, 2.0])[:, None, None]
+    moved = time * velocity + time**2 / 2 * acceleration
     np.testing.assert_allclose(here + moved, [before, here, after], atol=1e-12)
 
 

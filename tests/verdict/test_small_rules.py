@@ -9,7 +9,7 @@ from scipy.linalg import null_space
 
 from mocap_calib.adjust import refine
 from mocap_calib.adjust.covariance import _inverse_at_size
-from mocap_calib.adjust.problem import free_intrinsics
+from mocap_calib.adjust.problem import free_parameters
 from mocap_calib.clocks.maps import agreement_along
 from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
 from mocap_calib.config import Config
@@ -59,7 +59,7 @@ def test_the_inverse_at_a_size_is_that_of_all_that_leaves_it():
     matrix = rng.normal(size=(15, 40)) * scale[:, None]
     matrix = matrix @ matrix.T
     state = SimpleNamespace(rotation=rotation, translation=translation)
-    shared = free_intrinsics(np.zeros(3, int), np.ones((3, 3)))
+    shared = free_parameters(np.zeros(3, int), np.ones((3, 3)))
     found = _inverse_at_size(matrix, state, shared)
     centres = -np.einsum("vji,vj->vi", rotation, translation)
     size = np.zeros(15)
