@@ -18,6 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from mocap_calib import mapped
 from mocap_calib.errors import count, one_line
 
+if TYPE_CHECKING:
+    from mocap_calib import front
+    from mocap_calib.geometry.lens import project_points
+
 POSE = 6  # numbers of a change of pose: a turn and a shift
 
 Floats = NDArray[np.float64]
@@ -531,14 +535,8 @@ class CameraRig(Record):
         return _rotation_vectors(self.rotation)
 
     if TYPE_CHECKING:  # bound by `front`
-
-        def project(self, points: ArrayLike) -> Floats:
-            """Return the pixels of points in world coordinates, see `geometry.lens`."""
-
-        def triangulate(
-            self, pixels: ArrayLike, confidence: ArrayLike | None = None
-        ) -> tuple[Floats, Floats]:
-            """Return the points that pixels show, see `front.triangulate`."""
+        project = project_points
+        triangulate = front.triangulate
 
     def _pose(self, view: int) -> PosedCamera:
         """Return the camera of a view (index) with its extrinsics."""
@@ -673,24 +671,8 @@ class Recording(Record):
         return f"{type(self).__name__}({', '.join(parts)})"
 
     if TYPE_CHECKING:  # bound by `front`
-
-        @staticmethod
-        def from_arrays(
-            positions: ArrayLike,
-            confidence: ArrayLike | None = None,
-            *,
-            keypoints: Sequence[str],
-            cameras: Sequence[Camera] | CameraRig,
-            frames: ArrayLike | None = None,
-            tracked: bool = False,
-        ) -> "Recording":
-            """Return the recording of detections in arrays, see `front.from_arrays`."""
-
-        @staticmethod
-        def from_keypoints(
-            views: Sequence[Keypoints2D], cameras: Sequence[Camera] | CameraRig
-        ) -> "Recording":
-            """Return the recording of keypoints that were read, see `front.from_keypoints`."""
+        from_arrays = staticmethod(front.from_arrays)
+        from_keypoints = staticmethod(front.from_keypoints)
 
     @property
     def names(self) -> tuple[str, ...]:
