@@ -33,8 +33,7 @@ from mocap_calib.types import (
 )
 
 if TYPE_CHECKING:
-    import xarray
-    from plotly.graph_objects import Figure
+    from mocap_calib import front
 
 # how a 3D point was made, by its number in `Poses3D.source`
 POINT_SOURCES = ("missing", "triangulated", "one view", "interpolated")
@@ -151,14 +150,14 @@ class Fault(Record):
     camera: its name. word: one of `FAULT_WORDS`.
     says: a description, without the name of the camera.
     evidence: the numbers that support it, by name.
-    mend: the correction, None where it is only reported.
+    mend: the correction, a clock where that differs, None where it is only reported.
     """
 
     camera: str
     word: FaultWord
     says: str
     evidence: Mapping[str, float | int | str] = field(default_factory=dict)
-    mend: Mend | None = None
+    mend: Mend | CameraClock | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -582,11 +581,7 @@ class Poses3D(Record):
         )
 
     if TYPE_CHECKING:  # bound by `front`
-
-        def to_xarray(
-            self, fps: float | None = None, individuals: Sequence[str] = ()
-        ) -> "xarray.Dataset":
-            """Return the poses as a data set of `movement`, see `front.to_xarray`."""
+        to_xarray = front.to_xarray
 
 
 @dataclass(frozen=True)
@@ -660,9 +655,7 @@ class GroupResult(Record):
         return f"GroupResult({self._describe()})"
 
     if TYPE_CHECKING:  # bound by `front`
-
-        def plot(self, *, moments: int = ...) -> "Figure":
-            """Return a figure of plotly, see `front.plot`."""
+        plot = front.plot
 
     @property
     def rig(self) -> CameraRig:
@@ -731,9 +724,7 @@ class CalibrationResult(Record):
         return "\n".join([title, *lines])
 
     if TYPE_CHECKING:  # bound by `front`
-
-        def plot(self, *, moments: int = ...) -> "Figure":
-            """Return a figure of plotly, see `front.plot`."""
+        plot = front.plot
 
 
 # where a camera of a calibration is: docs/verify.md says what each means

@@ -8,8 +8,8 @@ A camera stays as it is unless the evidence for another clock is decisive.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -41,7 +41,6 @@ from mocap_calib.results import (
     NO_FRAME,
     CalibrationResult,
     Clocks,
-    FaultWord,
     GroupResult,
     LiftedPoses,
 )
@@ -331,28 +330,3 @@ def _source_of(camera: CameraClock, frames: Ints, given: Ints) -> Ints:
     repeated = np.append(False, own[1:] <= latest[:-1])
     place = np.minimum(np.searchsorted(given, own), len(given) - 1)
     return np.where((given[place] == own) & ~repeated, place, -1)
-
-
-@dataclass(frozen=True)
-class Retimed:
-    """The clock of a camera differs from that of the others."""
-
-    clock: CameraClock
-
-    @property
-    def camera(self) -> str:
-        """Name of the camera."""
-        return self.clock.camera
-
-    @property
-    def word(self) -> FaultWord:
-        """The fault that it mends."""
-        return cast(FaultWord, self.clock.kind)
-
-    def apply(self, recording: Recording) -> Recording:
-        """Return the recording with the camera on the clock of the others.
-
-        Raises MismatchError where the recording does not have it.
-        """
-        find_view(recording, self.camera)
-        return retime(recording, clocks_from(recording, [self.clock]))

@@ -12,7 +12,6 @@ from typing import Any, cast
 import numpy as np
 
 from mocap_calib.adjust.camera_fit import CameraFit, Unknown
-from mocap_calib.clocks.estimate import Retimed
 from mocap_calib.config import PLAIN_FACTORS, DiagnosisConfig
 from mocap_calib.errors import count
 from mocap_calib.recording.corrections import (
@@ -188,7 +187,7 @@ def describe(mend: Mend) -> str:
     return says
 
 
-def option_of(mend: Mend) -> str:
+def option_of(mend: Mend | CameraClock) -> str:
     """Return the command-line option that states a correction beforehand, "" if there is none."""
     option = ""
     match mend:
@@ -208,8 +207,8 @@ def option_of(mend: Mend) -> str:
             option = "--refine focal --focal-per-camera"
         case Moved(camera, frame):
             option = f"--moved {camera}:{frame}"
-        case Retimed(clock) if clock.kind == "clock":
-            option = f"--frame-offset {clock.camera}:{-clock.offset}"
+        case CameraClock(camera, "clock", offset):
+            option = f"--frame-offset {camera}:{-offset}"
     return option
 
 
@@ -230,7 +229,7 @@ def _describe_fault(fault: Fault) -> dict[str, Any]:
     return {
         "says": fault.says,
         "mended": mend is not None,
-        "advice": ADVICE.get(mend.word, _ADVICE_ON_CLOCKS) if mend else None,
+        "advice": ADVICE.get(fault.word, _ADVICE_ON_CLOCKS) if mend else None,
         "option": (option_of(mend) or None) if mend else None,
         **fault.evidence,
     }
@@ -247,7 +246,7 @@ def clock_faults(clocks: Clocks, *, applied: bool) -> tuple[Fault, ...]:
             word=cast(FaultWord, each.kind),
             says=describe_clock_fault(each),
             evidence=dict(each.evidence),
-            mend=Retimed(each) if applied else None,
+            mend=each if applied else None,
         )
         for each in clocks.cameras
         if each.differs and each.evidence  # what somebody said is no finding

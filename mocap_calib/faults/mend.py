@@ -21,7 +21,7 @@ from mocap_calib.recording.corrections import Exchanged, Sides, apply_mends
 from mocap_calib.results import VERDICTS, CalibrationResult, Clocks, Fault, GroupResult, Mend
 from mocap_calib.rig import Observed
 from mocap_calib.rig.averaging import best_scores
-from mocap_calib.types import Recording
+from mocap_calib.types import CameraClock, Recording
 from mocap_calib.verdict.checks import report_frames, residuals_of
 
 # what was known before the rigs of a recording were built, and all that was found
@@ -142,7 +142,8 @@ def _try_correction(
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:
     """Return the corrections of faults; one of two cameras counts once."""
-    return tuple(dict.fromkeys(fault.mend for fault in faults if fault.mend is not None))
+    mends = (fault.mend for fault in faults if not isinstance(fault.mend, CameraClock))
+    return tuple(dict.fromkeys(mend for mend in mends if mend is not None))
 
 
 def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, ...]:
