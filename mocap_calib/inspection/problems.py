@@ -15,6 +15,7 @@ from mocap_calib.recording.names import (
     check_pixels,
     describe_unshared,
     keypoint_meanings,
+    match_cameras,
     unshared_keypoints,
 )
 from mocap_calib.recording.sampling import (
@@ -25,9 +26,8 @@ from mocap_calib.recording.sampling import (
 from mocap_calib.recording.synchronise import (
     find_copies,
     find_repeated,
-    join_views,
     largest_confidence,
-    recording_of_views,
+    make_recording,
 )
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 
@@ -100,8 +100,8 @@ def _find_copies(
 ) -> list[Finding]:
     """Name the pairs of cameras with the same detections."""
     return [
-        critical(f"{copy.says}; give each camera its own file")
-        for copy in find_copies(usable, meanings, least=config.copied)
+        critical(f"{says}; give each camera its own file")
+        for says in find_copies(usable, meanings, least=config.copied)
     ]
 
 
@@ -250,13 +250,12 @@ def _find_camera_problems(
 ) -> list[Finding]:
     """Say what a run would say of the keypoints and the cameras together."""
     try:
-        joined = join_views(views, cameras, skeleton, aliases)
-        recording = recording_of_views(joined)
+        recording = make_recording(views, cameras, skeleton, aliases)
         sample_frames = choose_sample_frames(recording, SampleConfig())
         check_joints(recording.select(frames=sample_frames))
     except MismatchError as error:
         return [critical(str(error))]
-    idle = [camera.name for camera in cameras if camera.name not in joined.camera_names]
+    idle = [camera.name for camera in cameras if camera.name not in match_cameras(views, cameras)]
     if not idle:
         return []
     return [

@@ -19,11 +19,13 @@ from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.names import (
     ASSUMED_NOTE,
     assume_cameras,
+    keypoint_meanings,
+    match_cameras,
     unshared_keypoints,
     views_named,
     views_with_detections,
 )
-from mocap_calib.recording.synchronise import JoinedViews, join_views, recording_of_views
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import Clocks, Mend
 from mocap_calib.types import Camera, Keypoints2D, Recording, Skeleton
 
@@ -82,25 +84,30 @@ class RecordingSummary:
 
 
 def summarise_recording(
-    recording: Recording, joined: JoinedViews, cameras: Sequence[Camera]
+    recording: Recording,
+    views: Sequence[Keypoints2D],
+    cameras: Sequence[Camera],
+    unshared: Mapping[str, str],
 ) -> RecordingSummary:
-    """Return what a recording took of the views and the cameras it was made of."""
+    """Return what a recording took of the views and the cameras it was made of.
+
+    unshared: see `unshared_keypoints`.
+    """
     found = {}
-    for view, name in zip(joined.files, joined.camera_names, strict=True):
+    for view, name in zip(views, match_cameras(views, cameras), strict=True):
         found[name] = CameraSummary(name, view.source, len(view.frames), count_detections(view))
-    unshared = unshared_keypoints(views_with_detections(joined.files), joined.meanings)
     names = [camera.name for camera in cameras]
     joints = zip(recording.keypoints, recording.vocabulary, strict=True)
     return RecordingSummary(
         cameras=tuple(found[name] for name in names if name in found),
         without_keypoints=tuple(name for name in names if name not in found),
         left_out=tuple(name for name in names if name not in recording.names),
-        lone_detections=_count_lone_detections(joined.files, recording),
+        lone_detections=_count_lone_detections(views, recording),
         frames=len(recording.frames),
         keypoints=recording.keypoints,
         unknown=tuple(name for name, joint in joints if joint < 0),
         single_camera_joints=unshared,
-        skeleton=joined.skeleton.name,
+        skeleton=recording.model,
     )
 
 
@@ -170,16 +177,18 @@ def load_recording(
     unknown = tuple(view.camera for view in views if known and view not in known)
     views = known or views
     skeleton, aliases = _choose_vocabulary(source, views)
-    joined = join_views(views, cameras, skeleton, aliases)
-    recording = apply_mends(recording_of_views(joined), source.mends)
-    summary = summarise_recording(recording, joined, cameras)
+    recording = make_recording(views, cameras, skeleton, aliases)
+    recording = apply_mends(recording, source.mends)
+    used = views_with_detections(views)
+    unshared = unshared_keypoints(used, keypoint_meanings(used, skeleton, aliases))
+    summary = summarise_recording(recording, views, cameras, unshared)
     notes = camera_file.notes if camera_file else (ASSUMED_NOTE,)
     summary = replace(
         summary,
         camera_notes=notes,
         unknown_cameras=unknown,
         ignored_files=find_ignored_files(source.paths),
-        filled_in=describe_filled(joined.files),
+        filled_in=describe_filled(views),
     )
     return LoadedRecording(replace(recording, model=source.model or skeleton.name), summary)
 

@@ -29,18 +29,16 @@ _UNKNOWN_SIZE = (0, 0)
 
 
 def pair_with_cameras(
-    views: Sequence[Keypoints2D], camera_names: Sequence[str], cameras: Sequence[Camera]
+    views: Sequence[Keypoints2D], cameras: Sequence[Camera]
 ) -> tuple[tuple[Keypoints2D, ...], tuple[Camera, ...]]:
     """Return the views with detections in the order of the cameras, and their cameras.
 
     Cameras without an image size take that of their file.
 
-    camera_names: `[view]` the camera of each view, as `match_cameras` returns them.
-
-    Raises MismatchError for fewer than two cameras with detections, and where a camera and its file
-    have other image sizes.
+    Raises MismatchError as `match_cameras` does, for fewer than two cameras with detections, and
+    where a camera and its file have other image sizes.
     """
-    view_of = dict(zip(camera_names, views, strict=True))
+    view_of = dict(zip(match_cameras(views, cameras), views, strict=True))
     pairs = [
         (view_of[camera.name], camera)
         for camera in cameras

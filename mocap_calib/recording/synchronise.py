@@ -4,7 +4,6 @@ Files and cameras are joined by name, frames by number, keypoints by meaning.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -23,7 +22,6 @@ from mocap_calib.errors import MismatchError, count
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.names import (
     keypoint_meanings,
-    match_cameras,
     pair_with_cameras,
     shared_keypoints,
 )
@@ -39,46 +37,8 @@ from mocap_calib.types import (
 )
 
 
-@dataclass(frozen=True)
-class JoinedViews:
-    """Keypoint files joined with their cameras by name, and their keypoints by meaning.
-
-    files: all views, as they were read.
-    camera_names: `[file]` name of the camera that each belongs to.
-    views: those with detections, in the order of the cameras.
-    cameras: `[view]` with the image sizes of the files where they had none.
-    meanings: own name of a keypoint -> meaning, see `keypoint_meanings`.
-    skeleton: whose joints the meanings are.
-    """
-
-    files: tuple[Keypoints2D, ...]
-    camera_names: tuple[str, ...]
-    views: tuple[Keypoints2D, ...]
-    cameras: tuple[Camera, ...]
-    meanings: Mapping[str, str]
-    skeleton: Skeleton
-
-
-def join_views(
-    files: Sequence[Keypoints2D],
-    cameras: Sequence[Camera],
-    skeleton: Skeleton,
-    aliases: Mapping[str, str],
-) -> JoinedViews:
-    """Find the camera of each keypoint file, and what its keypoint names mean.
-
-    aliases: other names of joints, own name -> joint of the skeleton.
-
-    Raises MismatchError where the names or the images of files and cameras do not go together.
-    """
-    camera_names = match_cameras(files, cameras)
-    views, sized_cameras = pair_with_cameras(files, camera_names, cameras)
-    meanings = keypoint_meanings(views, skeleton, aliases)
-    return JoinedViews(tuple(files), camera_names, views, sized_cameras, meanings, skeleton)
-
-
 def make_recording(
-    views: Sequence[Keypoints2D],
+    files: Sequence[Keypoints2D],
     cameras: Sequence[Camera],
     skeleton: Skeleton,
     aliases: Mapping[str, str],
@@ -93,33 +53,23 @@ def make_recording(
 
     Raises MismatchError where the files do not belong together.
     """
-    return recording_of_views(join_views(views, cameras, skeleton, aliases))
-
-
-def recording_of_views(joined: JoinedViews) -> Recording:
-    """Return the recording of views that have been joined, see `make_recording`.
-
-    Raises MismatchError where they share no frames, keypoints or detections, and where a file was
-    given twice.
-    """
-    views = joined.views
-    check_copies(views, joined.meanings)
+    views, cameras = pair_with_cameras(files, cameras)
+    meanings = keypoint_meanings(views, skeleton, aliases)
+    check_copies(views, meanings)
     frames = _shared_frames(views)
-    shared = shared_keypoints(views, joined.meanings)
-    positions, confidence = _fill_arrays(
-        views, frames=frames, meanings=joined.meanings, shared=shared
-    )
+    shared = shared_keypoints(views, meanings)
+    positions, confidence = _fill_arrays(views, frames=frames, meanings=meanings, shared=shared)
     _check_covisible(confidence)
-    joint_of = {normalise_name(joint): k for k, joint in enumerate(joined.skeleton.keypoints)}
+    joint_of = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
     return Recording(
-        cameras=joined.cameras,
+        cameras=cameras,
         keypoints=tuple(shared.values()),
         frames=frames,
         positions=positions,
         confidence=confidence,
         tracked=np.array([view.tracked for view in views]),
         vocabulary=np.array([joint_of.get(meaning, -1) for meaning in shared], dtype=np.int64),
-        model=joined.skeleton.name,
+        model=skeleton.name,
     )
 
 
@@ -296,49 +246,22 @@ def find_repeated(positions: Reals) -> Bools:
     return repeated
 
 
-@dataclass(frozen=True)
-class Copy:
-    """Two views with the same detections.
-
-    shift: frames by which those of the second come later.
-    """
-
-    first: Keypoints2D
-    second: Keypoints2D
-    shift: int
-
-    @property
-    def says(self) -> str:
-        """Which cameras and files have the same detections, for a person."""
-        first, second = self.first, self.second
-        later = ""
-        if self.shift:
-            view = second if self.shift > 0 else first
-            later = f", {count(abs(self.shift), 'frame')} later in {view.camera}"
-        return (
-            f"{first.camera} and {second.camera} have the same detections "
-            f"({first.source}, {second.source}{later})"
-        )
-
-
 def check_copies(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> None:
     """Raise MismatchError where two views have the same detections.
 
     meanings: of the names of their keypoints, see `recording.names.keypoint_meanings`.
     """
-    copies = find_copies(views, meanings)
-    if copies:
+    for says in find_copies(views, meanings):
         raise MismatchError(
-            "expected a file of its own for each camera, "
-            f"found that {copies[0].says}; "
+            f"expected a file of its own for each camera, found that {says}; "
             "give each camera its own file, or leave one of the two out"
         )
 
 
 def find_copies(
     views: Sequence[Keypoints2D], meanings: Mapping[str, str], *, least: int = COPY_FEW
-) -> list[Copy]:
-    """Return the pairs of views with the same detections, in any order, at a constant shift.
+) -> list[str]:
+    """Return which views have the same detections, in any order, at a constant shift, in words.
 
     meanings: of the names of their keypoints. least: distinct detections of the view that has
         fewer; of fewer nothing is certain.
@@ -354,7 +277,21 @@ def find_copies(
         (a, b, _find_shift(found[a], found[b], least))
         for a, b in combinations(range(len(views)), 2)
     ]
-    return [Copy(views[a], views[b], shift) for a, b, shift in shifts if shift is not None]
+    return [
+        _describe_copy(views[a], views[b], shift) for a, b, shift in shifts if shift is not None
+    ]
+
+
+def _describe_copy(first: Keypoints2D, second: Keypoints2D, shift: int) -> str:
+    """Return that two views have the same detections, those of the second so many frames later."""
+    later = ""
+    if shift:
+        camera = second.camera if shift > 0 else first.camera
+        later = f", {count(abs(shift), 'frame')} later in {camera}"
+    return (
+        f"{first.camera} and {second.camera} have the same detections "
+        f"({first.source}, {second.source}{later})"
+    )
 
 
 def _project_detections(view: Keypoints2D, columns: Ints) -> tuple[Reals, Ints]:
@@ -385,13 +322,11 @@ def _find_shift(first: tuple[Reals, Ints], second: tuple[Reals, Ints], least: in
     if len(distinct) < least:
         return None
     chosen = evenly_spaced(distinct, COPY_COMPARED)
-    low = np.searchsorted(theirs, ours[chosen] - tolerance)
-    high = np.searchsorted(theirs, ours[chosen] + tolerance)
-    candidates = low[:, None] + np.arange(COPY_FEW)
-    of, column = np.nonzero(candidates < high[:, None])
-    shifts = their_frames[candidates[of, column]] - our_frames[chosen[of]]
-    found = np.unique(np.column_stack([of, shifts]), axis=0)[:, 1]
-    values, counts = np.unique(found, return_counts=True)
+    # of equal ones, the first of both
+    place = np.minimum(np.searchsorted(theirs, ours[chosen] - tolerance), len(theirs) - 1)
+    equal = np.abs(theirs[place] - ours[chosen]) <= tolerance
+    shifts = (their_frames[place] - our_frames[chosen])[equal]
+    values, counts = np.unique(shifts, return_counts=True)
     if not len(values) or counts.max() < COPY_SHARE * len(chosen):
         return None
     shift = int(values[counts.argmax()])
