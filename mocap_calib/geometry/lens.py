@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import rq
 
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LENS_MISS_PX
@@ -264,7 +263,8 @@ def decompose_projection(projection: Floats) -> tuple[Floats, Floats, Floats]:
     is mirrored. The sign of P is taken as it is: what is in front of the camera has a positive
     third coordinate.
     """
-    matrix, rotation = rq(projection[:, :3])
+    turned, upper = np.linalg.qr(projection[::-1, :3].T)  # of rows in reverse: RQ of QR
+    matrix, rotation = upper.T[::-1, ::-1], turned.T[::-1]
     sign = np.sign(np.diag(matrix))
     matrix, rotation = matrix * sign, sign[:, None] * rotation
     if np.linalg.det(rotation) < 0:

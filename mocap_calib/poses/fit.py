@@ -10,9 +10,9 @@ first order: a bone adds the information about its other end without it.
 """
 
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import chdtri
 
 from mocap_calib.config import PosesConfig
 from mocap_calib.kernels import pose_bands, pose_energy
@@ -21,7 +21,7 @@ from mocap_calib.types import Floats, Ints
 
 AROUND = 2  # frames of padding at each end: as far as accelerations reach
 ROUNDS = 5  # of reweighting: lengths of bones, and the median of accelerations
-_MEDIAN_SQUARE = chdtri(1, 0.5)  # of normal errors of variance 1
+_MEDIAN_SQUARE = NormalDist().inv_cdf(0.75) ** 2  # of normal errors of variance 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)

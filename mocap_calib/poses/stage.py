@@ -7,7 +7,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
@@ -38,7 +37,7 @@ _ONE_VIEW = POINT_SOURCES.index("one view")
 _INTERPOLATED = POINT_SOURCES.index("interpolated")
 _BLOCK = 1000  # frames that are fitted at once, besides margins of four longest gaps
 # of normal vectors in space, in standard deviations of a coordinate
-_MEDIAN_LENGTH = np.sqrt(chdtri(3, 0.5))
+_MEDIAN_LENGTH = 1.5382
 
 Track = tuple[Floats, Detections, Body]  # points `[keypoint, frame, 3]` to start from, and the rest
 

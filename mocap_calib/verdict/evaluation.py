@@ -14,7 +14,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc
 
 from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG, VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import MismatchError
@@ -219,6 +218,8 @@ def find_changes(
     rest, is_moved = moves(moved), np.isin(views, moved)
     if len(given) == 2:
         difference = np.full(2, angle_between(given.relative(0, 1)[0], adjusted.relative(0, 1)[0]))
+        from scipy.special import chdtrc  # noqa: PLC0415 - as in `_find_moves`
+
         chance = chdtrc(rest.degrees, rest.cost / config.verify.pair_disagreement)
         large = np.rad2deg(difference) > VERDICT_LIMITS_DEG[0]
         is_moved = large & (chance < config.verify.significance)
@@ -256,6 +257,8 @@ def _find_moves(
     covariance: `[6 view, 6 view]` of the difference of the rigs. Where a single other view is left,
     the last one shows as well how the rigs lie to each other.
     """
+    from scipy.special import fdtrc  # noqa: PLC0415 - 0.2 s, which no other command needs
+
     rest = np.setdiff1d(range(len(given)), free)
     before = lay_over(given, adjusted, rest if len(rest) > 1 else np.append(rest, free[-1]))
     turn = vector_from_matrix(np.swapaxes(adjusted.rotation, 1, 2) @ before.rotation)
