@@ -48,6 +48,7 @@ from mocap_calib.results import (
     Verdict,
 )
 from mocap_calib.rig import Observed, labelled_frames
+from mocap_calib.rig.averaging import best_scores
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import (
     POSE,
@@ -75,7 +76,7 @@ def judge(result: CalibrationResult) -> CalibrationResult:
     for group in result.groups:
         checks, config = group.assessment.checks, result.config
         verdict = assess(group, checks, config, faults=result.faults, clocks=result.clocks)
-        groups.append(_without_accusations(replace(group, assessment=verdict)))
+        groups.append(_without_accusations(replace(group, assessment=verdict), config))
     return replace(result, groups=tuple(groups))
 
 
@@ -244,7 +245,7 @@ def _left_open(
             meaning = f"{fault.camera}: {fault.says}, which was not corrected"
             yield Cause(fault.word, fault.camera, OPEN_DEG, meaning, "correct its files")
     for name in np.array(names)[group.uncertainty.outlier_cameras].tolist():
-        meaning = f"{name}: the other cameras contradict it, and no correction was found"
+        meaning = f"{name} and the other cameras contradict each other: no correction was found"
         remedy = "check its keypoints, its clock and its intrinsics"
         yield Cause("inconsistent", name, OPEN_DEG, meaning, remedy)
     for clock in () if clocks is None or clocks.changed else clocks.cameras:
@@ -253,16 +254,19 @@ def _left_open(
             yield Cause("clock", clock.camera, OPEN_DEG, meaning, "use --sync auto")
 
 
-def _without_accusations(group: GroupResult) -> GroupResult:
+def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
     """Return the group that names outlier cameras only where the others determine them.
 
-    None of a rig that is not determined, most cameras of which are uncertain, or half inconsistent.
+    None of a rig that is not determined, most cameras of which are uncertain or look like no other
+    one, or half inconsistent.
     """
     none, known = np.zeros(len(group.rig), dtype=bool), group.uncertainty
     usual = np.rad2deg(np.median(known.covariance.rotation_sigma))
+    alike = np.median(best_scores(group.pairs, len(none)))  # NaN: no pairs are known
+    strangers = usual > VERDICT_LIMITS_DEG[1] or alike < config.averaging.weak_score
     if group.verdict == "not determined":
         known = replace(known, outlier_cameras=none, wrong_focal=none)
-    elif 2 * known.outlier_cameras.sum() >= len(none) or usual > VERDICT_LIMITS_DEG[1]:
+    elif 2 * known.outlier_cameras.sum() >= len(none) or strangers:
         known = replace(known, outlier_cameras=none)
     return replace(group, uncertainty=known)
 

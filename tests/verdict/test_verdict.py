@@ -137,7 +137,7 @@ def test_a_sound_recording_passes_all_checks():
 
 @pytest.mark.slow
 def test_an_uncertain_rig_names_no_camera():
-    """Nor do two halves; and a rig that is not determined names none at all."""
+    """Nor do two halves, or cameras that agree with none; and one not determined names none."""
     group = calibrated()
     for degrees, of_all, odd, named in (
         (20.0, 0.0, (1,), []),
@@ -151,6 +151,13 @@ def test_an_uncertain_rig_names_no_camera():
         known = replace(known, covariance=known.covariance.with_changes(turns))
         (judged,) = judge(result_of(replace(group, uncertainty=known))).groups
         assert np.flatnonzero(judged.uncertainty.outlier_cameras).tolist() == named
+    strangers = replace(
+        group,
+        uncertainty=uncertainty(0.5, views=4, outliers=(1,)),
+        pairs=tuple(replace(pair, score=0.4) for pair in group.pairs),
+    )
+    (judged,) = judge(result_of(strangers)).groups
+    assert not judged.uncertainty.outlier_cameras.any()
 
 
 @pytest.mark.slow
