@@ -6,6 +6,7 @@ weighted by their inverse variances (a product of errors is a sum of logarithms)
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 
@@ -63,9 +64,12 @@ def measurable(
     verdict: on the rig, "" = none.
     """
     sample = sample_poses(poses)
-    if verdict == "not determined":
-        return Measurable(sample, joints, rig, "the rig is not determined", covariance)
-    floor = find_floor(sample, joints, config.floor)
+    floor: Floor | str = "the rig is not determined"
+    if verdict != "not determined":
+        floor = find_floor(sample, joints, config.floor)
+    if isinstance(floor, Floor):
+        turn = float(np.median(covariance.rotation_sigma))
+        floor = replace(floor, up_sigma=float(np.hypot(floor.up_sigma, turn)))
     return Measurable(sample, joints, rig, floor, covariance)
 
 
@@ -238,14 +242,13 @@ def check_unit(positions: Floats, joints: Joints, option: str, config: CueConfig
     Raises MismatchError where people are too tall.
     """
     ankles = joints.feet if joints.kind == "people" else []
+    heads = [(name, share) for name, share in config.head_height if name in joints.columns]
     tall = [
-        quantile_over_frames(distance(positions, head, ankle) / share, 0.5)
-        for head, share in ((joints.columns.get(name), share) for name, share in config.head_height)
+        distance(positions, joints.columns[name], ankle) / share
+        for name, share in heads
         for ankle in ankles
-        if head is not None
     ]
-    known = quantile_over_frames(np.array(tall), 0.5) if tall else np.zeros(0)
-    known = known[np.isfinite(known)]
+    known = np.array(tall)[np.isfinite(tall)]
     if not len(known):
         return []
     metres = float(np.median(known))
@@ -282,7 +285,12 @@ def check_cues(
     for cue in cues:
         if cue.kind == "height":
             head_columns(joints, config)
-            _check_stature(cue.metres, config)
+            least, most = config.statures
+            if not least <= cue.metres <= most:
+                raise MismatchError(
+                    f"--height: expected the stature of a person in metres, {least:g} to "
+                    f"{most:g}, found {cue.metres:g}; {likely_unit(cue.metres, config)}"
+                )
             own = [find_individual(cue.of, count, individuals)] if cue.of else []
             what = frozenset(own)
         elif cue.kind == "length":
@@ -348,52 +356,34 @@ def joint_pair(
     known = {normalise_name(name): k for name, k in joints.columns.items()}
     known |= {normalise_name(name): k for k, name in enumerate(keypoints)}
     known |= {name: k for k, name in enumerate(keypoints)}
-    return _split_pair(text, known, "joints", keypoints, option)
+    return _find_pair(text, known, "joints", keypoints, option)
 
 
 def camera_pair(text: str, views: Sequence[str], option: str) -> tuple[int, int]:
     """Return the indices of the views of two cameras of `A-B`. Raises MismatchError."""
     known = {name: own[0] for name, own in views_by_camera(views).items()}
-    return _split_pair(text, known, "cameras", tuple(known), option)
+    spelt = {normalise_name(name): view for name, view in known.items()} | known
+    return _find_pair(text, spelt, "cameras", tuple(known), option)
 
 
-def _split_pair(
+def _find_pair(
     text: str, known: Mapping[str, int], what: str, offered: Sequence[str], option: str
 ) -> tuple[int, int]:
     """Return the indices of the two names of `A-B`, either of which may have a `-`.
 
     Raises MismatchError.
     """
-
-    def index_of(name: str) -> int | None:
-        """Return the index of a name, None if it is not known."""
-        return known.get(name, known.get(normalise_name(name)))
-
-    parts = text.split("-")
-    halves = [("-".join(parts[:k]), "-".join(parts[k:])) for k in range(1, len(parts))]
-    for a, b in ((index_of(first), index_of(second)) for first, second in halves):
-        if a is not None and b is not None and a != b:
-            return a, b
-    strangers = [half for pair in halves for half in pair if index_of(half) is None]
-    if index_of(text) is not None or (halves and not strangers):
-        raise MismatchError(
-            f"{option} {text}: expected two {what}, as A-B, found one; add the second"
-        )
-    stranger = strangers[0] if strangers else text
+    names = [name if name in known else normalise_name(name) for name in text.split("-")]
+    each = permutations(known.items(), 2)
+    pairs = {f"{a}-{b}": (first, second) for (a, first), (b, second) in each if first != second}
+    if found := pairs.get(text, pairs.get("-".join(names))):
+        return found
+    strangers = [name for name in names if name not in known]
+    advice = suggest(strangers[0], offered) if strangers else "give two"
     raise MismatchError(
         f"{option} {text}: expected two {what}, as A-B, of {', '.join(offered)}, "
-        f"found {stranger!r}; {suggest(stranger, offered)}"
+        f"found {(strangers or names)[0]!r}; {advice}"
     )
-
-
-def _check_stature(metres: float, config: CueConfig) -> None:
-    """Raise MismatchError for an impossible stature."""
-    least, most = config.statures
-    if not least <= metres <= most:
-        raise MismatchError(
-            f"--height: expected the stature of a person in metres, {least:g} to {most:g}, "
-            f"found {metres:g}; {likely_unit(metres, config)}"
-        )
 
 
 def likely_unit(stature: float, config: CueConfig) -> str:

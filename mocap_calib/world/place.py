@@ -1,6 +1,7 @@
 """Check requested coordinates, and move results to them: scale, up, floor, origin and heading."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,10 +114,6 @@ def place_in_world(group: GroupResult, config: WorldConfig) -> GroupResult:
     covariance = group.uncertainty.covariance
     joints = joints_of_recording(group.recording)
     on = measurable(group.poses, joints, group.rig, covariance, config, verdict=group.verdict)
-    if isinstance(on.floor, Floor):
-        turn = float(np.median(covariance.rotation_sigma))
-        floor = replace(on.floor, up_sigma=float(np.hypot(on.floor.up_sigma, turn)))
-        on = replace(on, floor=floor)
     placement = find_placement(on, config)
     return move_group(group, placement.by, placement.unit, placement.world)
 
@@ -273,20 +270,13 @@ def _cues_of_group(
 
     def group_of(cue: ScaleCue) -> int:
         """Return the number of the group that a cue is of."""
-        if cue.kind == "camera distance":
-            return next((k for k, group in enumerate(groups) if _has_cameras(group, cue)), 0)
-        return 0 if cue.kind == "height" and cue.of else number
+        for k, group in enumerate(groups if cue.kind == "camera distance" else ()):
+            with suppress(MismatchError):
+                camera_pair(cue.of, group.rig.names, "")
+                return k
+        return number if cue.kind == "length" or not cue.of else 0
 
     return tuple(cue for cue in cues if group_of(cue) == number)
-
-
-def _has_cameras(group: GroupResult, cue: ScaleCue) -> bool:
-    """Return whether both cameras of a cue are in a group."""
-    try:
-        camera_pair(cue.of, group.rig.names, "")
-    except MismatchError:
-        return False
-    return True
 
 
 def move_rig(rig: CameraRig, by: Similarity, unit: str, world: World) -> CameraRig:
