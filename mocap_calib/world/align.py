@@ -49,8 +49,8 @@ class _Stated:
         found, known = self.found[some], self.known[some]
         by = align_by_similarity(found.reshape(-1, 3), known.reshape(-1, 3))
         distance = np.linalg.norm(by.apply(found[:, 0]) - known[:, 0], axis=1)
-        stated = config.stated_sigma * _extent(known[:, 0])
-        offs = [distance / np.hypot(stated, by.scale * self.sigma[some])]
+        extent = _extent(known[:, 0])
+        offs = [distance / np.hypot(config.stated_sigma * extent, by.scale * self.sigma[some])]
         turn = np.zeros(len(found))
         if self.turned is not None:
             turn = angle_between(self.turned[some], by.rotation)
@@ -58,7 +58,8 @@ class _Stated:
         numbers = 3 * len(found) * len(offs)
         free = max(numbers - 7, 1)  # the similarity follows 7 of the numbers
         misfit = np.sqrt(numbers / free) * max(map(_rms, offs))
-        return _Fit(by, distance, turn, np.max(offs, axis=0), float(misfit))
+        scale_sigma = _rms(distance) / extent / np.sqrt(max(3 * len(found) - 7, 1))
+        return _Fit(by, distance, turn, np.max(offs, axis=0), float(misfit), scale_sigma)
 
     def is_mirrored(self, config: WorldConfig) -> bool:
         """Return whether the mirror image of the places fits, and they themselves do not."""
@@ -75,6 +76,7 @@ class _Fit:
 
     distance: in the unit of the stated world. turn: angle in radians, 0 of landmarks.
     off: in standard deviations. misfit: all of these in one number, about 1 for errors as allowed.
+    scale_sigma: relative standard deviation of the scale.
     """
 
     by: Similarity
@@ -82,6 +84,7 @@ class _Fit:
     turn: Floats
     off: Floats
     misfit: float
+    scale_sigma: float
 
 
 def align_to_cameras(
@@ -114,7 +117,7 @@ def align_to_cameras(
         f"aligned to {count(len(order), 'camera')} of known pose, RMS distance "
         f"{_describe_distance(stated, fit)}, RMS angle {np.degrees(_rms(fit.turn)):.1f} deg"
     )
-    return fit.by, _scale_sigma(fit.by, stated), World(kind="file", remarks=(remark,))
+    return fit.by, fit.scale_sigma, World(kind="file", remarks=(remark,))
 
 
 def stated_rig(known: Sequence[KnownCamera], names: Sequence[str]) -> CameraRig:
@@ -177,21 +180,16 @@ def align_to_landmarks(
         known=known[seen][:, None],
         sigma=_sigmas_of_points(rig, found[seen], detected, covariance, config),
     )
-    by = _fit_or_refuse(stated, config).by
-    away = np.linalg.norm(by.apply(found) - known, axis=1)
-    known_away = away[np.isfinite(away)]
-    return (
-        by,
-        _scale_sigma(by, stated),
-        World(
-            kind="landmarks",
-            landmarks=tuple(map(MeasuredLandmark, names, away.tolist())),
-            remarks=(
-                f"aligned to {count(len(known_away), 'landmark')}, "
-                f"RMS distance {1e3 * _rms(known_away):.0f} mm",
-            ),
-        ),
+    fit = _fit_or_refuse(stated, config)
+    away = np.full(len(names), np.nan)
+    away[seen] = fit.distance
+    measured = tuple(map(MeasuredLandmark, names, away.tolist()))
+    remark = (
+        f"aligned to {count(len(fit.distance), 'landmark')}, RMS distance "
+        f"{_describe_distance(stated, fit)}"
     )
+    world = World(kind="landmarks", landmarks=measured, remarks=(remark,))
+    return fit.by, fit.scale_sigma, world
 
 
 def check_landmarks(
@@ -298,14 +296,6 @@ def _sigmas_of_points(
     along = offset / far[..., None]
     normal = np.einsum("vn,vnij->nij", weight, np.eye(3) - along[..., None] * along[..., None, :])
     return np.asarray(np.sqrt(np.trace(np.linalg.pinv(normal), axis1=-2, axis2=-1)))
-
-
-def _scale_sigma(by: Similarity, stated: _Stated) -> float:
-    """Return the relative standard deviation of the scale of an alignment."""
-    known = stated.known[:, 0]
-    free = max(3 * len(known) - 7, 1)
-    square = ((by.apply(stated.found[:, 0]) - known) ** 2).sum() / free
-    return float(np.sqrt(square / len(known)) / _extent(known))
 
 
 def _extent(points: Floats) -> float:
