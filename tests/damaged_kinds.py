@@ -17,7 +17,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from corruption import damaged
+from corruption import complaint, damaged
 from samples2d import SAMPLES, recording, write_sample
 from test_formats_cameras import WRITTEN, studio
 from test_formats_cameras_foreign import kalibr
@@ -92,6 +92,16 @@ def hold(call: Call) -> None:
     assert grown < MEMORY, f"took {grown} kB"
 
 
+def naming(path: str, call: Call) -> Call:
+    """Return the call, which must begin its complaint with the path of the file."""
+
+    def named() -> None:
+        said = complaint(call)
+        assert not said or said.startswith(path), said
+
+    return named
+
+
 def try_damaged(kind: Kind, folder: Path, rng: random.Random) -> None:
     """Damage one file of a kind, hold its readers to the law, and mend it again.
 
@@ -142,7 +152,7 @@ def _cameras(name: str, _: Path) -> Kind:
         together = form.folder and len(content) > 1 and form.sniff(whole)
         return [
             lambda: make_rig(parse_content(content[victim], victim), victim),
-            lambda: parse_content(content[victim], victim, name),
+            naming(victim, lambda: parse_content(content[victim], victim, name)),
             lambda: load_cameras(folder if len(files) > 1 else folder / victim),
             *([lambda: form.read(whole)] if together else []),
         ]
@@ -155,7 +165,8 @@ def _poses(name: str, _: Path) -> Kind:
 
     def calls(folder: Path, victim: str, _: random.Random) -> list[Call]:
         content = (folder / victim).read_bytes()
-        return [lambda: parse_poses(content, "x"), lambda: parse_poses(content, "x", name)]
+        named = naming(victim, lambda: parse_poses(content, victim, name))
+        return [lambda: parse_poses(content, victim), named]
 
     return Kind(files, calls)
 

@@ -12,8 +12,7 @@ import h5netcdf
 import h5py
 import numpy as np
 import pytest
-from corruption import complaint, corrupted
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from platforms import posix
 
@@ -490,18 +489,6 @@ def test_two_formats_of_one_real_session_agree():
 
 
 # --- damage
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", HERE)
-@settings(max_examples=60, deadline=10_000, suppress_health_check=[HealthCheck.too_slow])
-@given(data=st.data())
-def test_damaged_files_load_or_are_refused_in_a_line(name, data):
-    files = format_poses(example(1), name, Path("x")).files
-    content = data.draw(corrupted(files["x"]))
-    complaint(lambda: parse_poses(content, "there/x"))
-    message = complaint(lambda: parse_poses(content, "there/x", name))
-    assert not message or message.startswith("there/x")
 
 
 @pytest.mark.parametrize("name", [each.name for each in READ])

@@ -14,7 +14,8 @@ from damaged_kinds import KINDS, try_damaged
 
 from mocap_calib.errors import MocapCalibError
 
-FILES = 25  # of each kind
+FILES = 25  # of each kind,
+FEWER = {"cameras colmap-binary": 8}  # COLMAP takes up to 2 s for a count that is not true
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def results(done, small, tool, tmp_path_factory) -> Path:
 @pytest.mark.parametrize("name", KINDS)
 def test_damage_is_read_or_refused(results, name, tmp_path):
     kind = KINDS[name](results)
-    for seed in range(FILES):
+    for seed in range(FEWER.get(name, FILES)):
         try_damaged(kind, tmp_path, random.Random(seed))
 
 
