@@ -352,50 +352,21 @@ def test_cameras_are_matched_by_name_not_by_place(small, tool, tmp_path):
 
 
 @pytest.mark.slow
-def test_simulate_then_train(tool, tmp_path):
-    """The tools around the main job work on small things; the error is reported as data."""
-    assert (
-        tool("simulate", "-o", tmp_path / "s", "--frames", 5, "--cameras", 2, "--quiet").returncode
-        == 0
-    )
-    truth = np.load(tmp_path / "s" / "truth.npz")
-    np.savez(
-        tmp_path / "p.npz",
-        poses=np.repeat(truth["poses3d"].reshape(-1, 29, 3), 10, axis=0),
-        joints=truth["joints"],
-    )
-    said = tool(
-        "train",
-        tmp_path / "p.npz",
-        "-o",
-        tmp_path / "w.safetensors",
-        "--steps",
-        3,
-        "--batch",
-        8,
-        "--width",
-        16,
-        "--layers",
-        1,
-        "--json",
-        "-q",
-    )
+@pytest.mark.parametrize(
+    ("architecture", "errors"),
+    [
+        ("factorised", {"joint_3d", "steered_2d", "completed_2d"}),
+        ("token", {"steered_2d", "identity_2d"}),
+    ],
+)
+def test_training_reports_errors_as_data(architecture, errors, small, tool, tmp_path):
+    truth = np.load(small / "truth.npz")
+    poses = np.repeat(truth["poses3d"].reshape(-1, *truth["poses3d"].shape[-2:]), 2, axis=0)
+    np.savez(tmp_path / "p.npz", poses=poses, joints=truth["joints"])
+    weights = tmp_path / "w.safetensors"
+    size = ("--steps", 3, "--batch", 8, "--width", 16, "--layers", 1)
+    asked = ("train", tmp_path / "p.npz", "-o", weights, "--architecture", architecture)
+    said = tool(*asked, *size, "--json", "-q")
     assert said.returncode == 0, said.stderr
-    assert set(json.loads(said.stdout)) == {"joint_3d", "steered_2d", "completed_2d"}
-    assert (tmp_path / "w.safetensors").stat().st_size > 1000
-    said = tool(
-        "train",
-        tmp_path / "p.npz",
-        "--architecture",
-        "token",
-        "-o",
-        tmp_path / "t.safetensors",
-        "--steps",
-        3,
-        "--batch",
-        8,
-        "--json",
-        "-q",
-    )
-    assert said.returncode == 0, said.stderr
-    assert set(json.loads(said.stdout)) == {"steered_2d", "identity_2d"}
+    assert set(json.loads(said.stdout)) == errors
+    assert weights.stat().st_size > 1000
