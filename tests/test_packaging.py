@@ -107,7 +107,7 @@ def test_an_index_takes_them(sdist, wheel):
 
 @pytest.mark.slow
 def test_the_wheel_works_by_itself(wheel, tmp_path):
-    """In an empty environment, called from another folder."""
+    """In an empty environment, called from another folder; a kernel is compiled there."""
     venv.create(tmp_path / "empty", with_pip=False)
     programs = tmp_path / "empty" / ("Scripts" if os.name == "nt" else "bin")
     pip = (sys.executable, "-m", "pip", "--python", programs / "python", "install", "--quiet")
@@ -123,9 +123,16 @@ def test_the_wheel_works_by_itself(wheel, tmp_path):
     file, _, program = run(programs / "python", "-P", "-c", where).strip().partition(" ")
     assert Path(file).is_relative_to(tmp_path / "empty")
     assert program == identify_program()  # the same code as in the checkout
+    package = Path(file).parents[1]
+    take_compiled_kernels(package)
+    lifter = list(package.glob("kernels/__pycache__/lifter.*.nbi"))
+    for index in lifter:
+        index.unlink()
     assert run(tool, "--version") == f"mocap-calib {__version__}\n"
     assert "rodent" in run(tool, "models")
     run(tool, "run", "keypoints", "--cameras", "intrinsics.toml", "-o", "out", "-q")
+    assert lifter
+    assert all(index.is_file() for index in lifter)
     report = json.loads((tmp_path / "elsewhere" / "out" / "run.json").read_text("utf-8"))
     assert len(report["cameras"]) == 2
 
@@ -137,18 +144,18 @@ def test_the_source_distribution_runs_its_own_tests(unpacked):
         assert list_files(unpacked / folder) == list_files(ROOT / folder)
     for name in ("CHANGELOG.md", "CITATION.cff", "Makefile", "README.md", "constraints.txt"):
         assert (unpacked / name).read_bytes() == (ROOT / name).read_bytes()
-    take_compiled_kernels(unpacked)
+    take_compiled_kernels(unpacked / "mocap_calib")
     pytest_alone = (sys.executable, "-P", "-m", "pytest", "-p", "no:cacheprovider")
     said = call(*pytest_alone, "tests/io/test_names.py", cwd=unpacked)
     assert re.search(r"^[1-9][0-9]* passed", said, re.MULTILINE), said
 
 
-def take_compiled_kernels(copy: Path) -> None:
-    """Take the machine code of this checkout along: compiling is what the wheel's test is for."""
-    kernels = Path("mocap_calib", "kernels")
-    shutil.copytree(ROOT / kernels / "__pycache__", copy / kernels / "__pycache__")
-    for file in (ROOT / kernels).glob("*.py"):
-        shutil.copystat(file, copy / kernels / file.name)  # numba compares sizes and times
+def take_compiled_kernels(package: Path) -> None:
+    """Take the machine code of this checkout along: `make` has compiled all of it."""
+    ours, kernels = ROOT / "mocap_calib" / "kernels", package / "kernels"
+    shutil.copytree(ours / "__pycache__", kernels / "__pycache__", dirs_exist_ok=True)
+    for file in ours.glob("*.py"):
+        shutil.copystat(file, kernels / file.name)  # numba compares sizes and times
 
 
 def list_files(folder: Path) -> set[str]:
