@@ -90,7 +90,7 @@ def fit(
     packed = _pack(points, seen, body, strengths, config)
     found = packed.points
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
-    rounds = config.steps if len(packed.edges) else 0
+    rounds = config.steps // 2 if len(packed.edges) else 0
     for _ in range(steps):
         packed.share_accelerations(config)
         pose_energy.sum_terms(
