@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from ceres import adjust_by_ceres
 
-from mocap_calib.adjust.refine import adjust
+from mocap_calib.adjust.refine import adjust_once
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.geometry.rotation import (
     angle_between,
@@ -42,10 +42,16 @@ from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import CameraRig, Floats, Sample
 
 
+def adjust_twice(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> CameraRig:
+    """Return an adjusted rig, adjusted again by the errors of a rig that is close."""
+    rig = adjust_once(sample, rig, matches, config)
+    return adjust_once(sample, rig, matches, config, already_close=True)
+
+
 def adjust_by_ceres_twice(
     recording: Sample, rig: CameraRig, matches: Matches, config: Config
 ) -> CameraRig:
-    """Adjust with COLMAP as `adjust` does with ours: again by the errors of a rig that is close."""
+    """Adjust with COLMAP as `adjust_twice` does with ours."""
     rig = adjust_by_ceres(recording, rig, matches, config)
     return adjust_by_ceres(recording, rig, matches, config, already_close=True)
 
@@ -53,7 +59,7 @@ def adjust_by_ceres_twice(
 METHODS = ("ours", "colmap", "colmap-all", "anipose", "scipy")
 ALL_POINTS = AdjustConfig(points=100_000, low_confidence_share=0.0)
 OURS = {
-    "ours": (adjust, AdjustConfig()),
+    "ours": (adjust_twice, AdjustConfig()),
     "colmap": (adjust_by_ceres_twice, AdjustConfig()),
     "colmap-all": (adjust_by_ceres_twice, ALL_POINTS),
 }

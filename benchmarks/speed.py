@@ -26,6 +26,7 @@ import numpy as np
 import pycolmap
 from adjustment import (
     adjust_by_ceres_twice,
+    adjust_twice,
     as_problem,
     call_peer,
     figures,
@@ -37,7 +38,6 @@ from adjustment import (
 from machines import describe_machine
 from recording_folders import add_recordings
 
-from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import AdjustConfig
 from mocap_calib.geometry.lens import rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
@@ -183,7 +183,7 @@ def repeat_adjustment(
     runs: int, recording: Sample, start: CameraRig, matches: Matches
 ) -> tuple[Measured, CameraRig]:
     """Adjust several times; return also the rig."""
-    found = [ours(adjust, AdjustConfig(), recording, start, matches) for _ in range(runs)]
+    found = [ours(adjust_twice, AdjustConfig(), recording, start, matches) for _ in range(runs)]
     return (min(f[1] for f in found), min(f[2] for f in found), 0.0), found[0][0]
 
 

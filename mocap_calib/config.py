@@ -315,7 +315,6 @@ class UncertaintyConfig:
     # 3 to 10 frames of a sound rig two focal lengths were "wrong"
     time_blocks: int = 20
     points: int = 2500  # that the covariance of a rig is found with
-    least_distance: float = 0.02  # of a point from a camera, in usual ones
     parts: int = 5  # of the recording, that a rig is adjusted without
     # By how much more rigs without a part differ than first order tells: 0.8 to 1.7 in recordings
     # that determine their rigs, where it is chance; 2.0 in two that barely do.

@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
+from mocap_calib.adjust.refine import adjust_once
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.lift import lift
@@ -144,6 +145,12 @@ def turn_cameras(rig: CameraRig, degrees: float, seed: int = 0) -> CameraRig:
     axis[0] = 0
     rotation = matrix_from_vector(axis) @ rig.rotation
     return rig.stand(rotation, rig.centres)
+
+
+def adjust_twice(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> CameraRig:
+    """Return an adjusted rig, adjusted again by the errors of a rig that is close."""
+    close = adjust_once(sample, rig, matches, config)
+    return adjust_once(sample, close, matches, config, already_close=True)
 
 
 def moved(rig: CameraRig, rng: np.random.Generator) -> tuple[CameraRig, np.ndarray, float]:

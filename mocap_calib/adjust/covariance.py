@@ -31,7 +31,7 @@ from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import project_out_similarity, rig_change, rig_size
 from mocap_calib.results import Matches, RigCovariance
-from mocap_calib.types import POSE, Bools, CameraRig, Floats, Ints, Sample
+from mocap_calib.types import POSE, CameraRig, Floats, Ints, Sample
 
 _LEAST_CURVATURE = 0.25  # share of that with fixed weights; measured 0.6 to 0.76
 
@@ -178,8 +178,7 @@ def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) 
     # correlated detections determine no more by being many
     problem = choose_problem(sample, rig, matches, config, points=config.uncertainty.points)
     state = _solve_again(problem, config.adjust)
-    fitted = problem.at(optimise_points(state, problem.rays, loss_scale=problem.loss_scale))
-    return fitted.select(np.flatnonzero(~_at_a_camera(fitted, config.uncertainty.least_distance)))
+    return problem.at(optimise_points(state, problem.rays, loss_scale=problem.loss_scale))
 
 
 def _solve_again(problem: Problem, config: AdjustConfig) -> State:
@@ -187,18 +186,6 @@ def _solve_again(problem: Problem, config: AdjustConfig) -> State:
     poses = free_poses(len(problem.rig))
     last = problem.loss_scale
     return solve(problem.start(), problem.rays, poses, config, last=last, already_close=True)
-
-
-def _at_a_camera(problem: Problem, least: float) -> Bools:
-    """Return which points `[N]` are next to a camera that sees them.
-
-    Rays of different things have met there. The image of such a point changes so fast that its
-    rounding errors outweigh all other points. least: distance, in usual ones of the camera.
-    """
-    distance = np.linalg.norm(problem.points - problem.rig.centres[:, :, None], axis=1)  # [view, N]
-    distance = np.where(problem.tracks.used, distance, np.nan)
-    usual = np.nanmedian(distance, axis=1, keepdims=True)
-    return np.asarray((distance < least * usual).any(0))
 
 
 def rig_covariance(

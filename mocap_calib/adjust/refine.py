@@ -19,20 +19,6 @@ from mocap_calib.rig.triangulate import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Progress, Sample, silent
 
 
-def adjust(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> CameraRig:
-    """Return the rig that minimises the robust reprojection error of the matched detections.
-
-    Intrinsics stay as they are, and so do the first camera and the size of the rig. It is adjusted
-    twice: the loss is in standard deviations of the errors, and how large these are is known only
-    of a rig that is close.
-
-    Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
-    too few to constrain it, and DegenerateError where there is no match at all.
-    """
-    close = adjust_once(sample, rig, matches, config)
-    return adjust_once(sample, close, matches, config, already_close=True)
-
-
 @single_threaded_libraries()
 def adjust_once(
     sample: Sample,
@@ -42,10 +28,14 @@ def adjust_once(
     *,
     already_close: bool = False,
 ) -> CameraRig:
-    """Return what `adjust` does, by the errors that the rig has to begin with.
+    """Return the rig that minimises the robust reprojection error of the matched detections.
 
-    The loss is tightened in steps. already_close: the rig has been adjusted before, so that only
-    the last step is needed.
+    Intrinsics stay as they are, and so do the first camera and the size of the rig. The loss is in
+    standard deviations of the errors that the rig has to begin with, and is tightened in steps.
+    already_close: the rig has been adjusted before, so that only the last step is needed.
+
+    Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
+    too few to constrain it, and DegenerateError where there is no match at all.
     """
     problem = choose_problem(sample, rig, matches, config, all_detections=not already_close)
     found = solve(

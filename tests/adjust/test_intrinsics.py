@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import lifted, recording, rotation_errors_deg, scene, truth, turn_cameras
+from scenes import adjust_twice, lifted, recording, rotation_errors_deg, scene, truth, turn_cameras
 
 from mocap_calib.adjust.intrinsics import (
     estimate_intrinsics,
     free_focal_lengths,
     shared_intrinsics,
 )
-from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.pipeline import calibrate
@@ -163,7 +162,7 @@ def uncertain(rig: CameraRig, sigma: float) -> CameraRig:
 def test_a_rig_is_as_uncertain_as_its_focal_lengths():
     """None where they were given; twice the change for twice the sigma (measured 1.8 to 2.1)."""
     sample, matches, config = recording(**SMALL), truth(**SMALL), Config()
-    rig = adjust(sample, scene(**SMALL).rig, matches, config)
+    rig = adjust_twice(sample, scene(**SMALL).rig, matches, config)
     assert estimated_focal_changes(sample, rig, matches, config).shape == (0, len(rig), 6)
     small, large = (
         np.linalg.norm(estimated_focal_changes(sample, uncertain(rig, sigma), matches, config))
@@ -181,7 +180,7 @@ def test_a_wrong_focal_length_is_found_and_right_ones_are_not_accused():
     for cameras, expected in ((sample.cameras, []), (wrong, [2])):
         seen = with_cameras(sample, cameras)
         start = replace(scene(**changes).rig, cameras=cameras)
-        rig = adjust(seen, start, truth(**changes), config)
+        rig = adjust_twice(seen, start, truth(**changes), config)
         free = free_focal_lengths(seen, rig, truth(**changes), config)
         found = find_wrong_focal(free.change[:, 0], free.sigma[:, 0], config)
         assert np.flatnonzero(found).tolist() == expected

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import recording, rotation_errors_deg, scene, truth, turn_cameras
+from scenes import adjust_twice, recording, rotation_errors_deg, scene, truth, turn_cameras
 
 from mocap_calib.adjust.problem import choose_loss_scale
-from mocap_calib.adjust.refine import adjust, adjust_once
+from mocap_calib.adjust.refine import adjust_once
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import matrix_from_vector
@@ -26,7 +26,7 @@ def test_adjustment_comes_home_from_three_degrees():
     """
     made = scene()
     found, home = (
-        adjust(recording(), start, truth(), Config())
+        adjust_twice(recording(), start, truth(), Config())
         for start in (turn_cameras(made.rig, 3.0), made.rig)
     )
     assert rotation_errors_deg(found, made.rig).max() < 0.2
@@ -44,7 +44,9 @@ def test_adjustment_does_not_depend_on_the_gauge():
         rotation=rotation,
         translation=2.0 * start.translation - np.einsum("vij,j->vi", rotation, shift),
     )
-    first, second = (adjust(recording(), rig, truth(), Config()) for rig in (start, elsewhere))
+    first, second = (
+        adjust_twice(recording(), rig, truth(), Config()) for rig in (start, elsewhere)
+    )
     assert rotation_errors_deg(first, second).max() < 0.01
     for start_rig, found in ((start, first), (elsewhere, second)):
         np.testing.assert_allclose(found.centres[0], start_rig.centres[0], atol=1e-9)
@@ -77,7 +79,7 @@ def test_adjustment_and_opencv_mean_the_same_camera(distortion):
         "false_detections": 0.0,
     }
     made = scene(**clean)
-    found = adjust(recording(**clean), turn_cameras(made.rig, 1.0), truth(**clean), Config())
+    found = adjust_twice(recording(**clean), turn_cameras(made.rig, 1.0), truth(**clean), Config())
     assert rotation_errors_deg(found, made.rig).max() < 1e-3
 
 
@@ -102,7 +104,7 @@ def test_a_camera_without_matches_is_named():
     labels = truth().labels.copy()
     labels[2] = -1
     with pytest.raises(DegenerateError, match="camera cam3"):
-        adjust(recording(), scene().rig, Matches(labels), Config())
+        adjust_twice(recording(), scene().rig, Matches(labels), Config())
 
 
 @pytest.mark.parametrize(("degrees", "scale"), [(np.inf, 3.0), (2.0, 1.5), (1.0, 1.5)])

@@ -5,9 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from scenes import PEOPLE, calibrate_group, rotation_errors_deg, scene
+from scenes import PEOPLE, adjust_twice, calibrate_group, rotation_errors_deg, scene
 
-from mocap_calib.adjust.refine import adjust
 from mocap_calib.adjust.residuals import Residuals, State, motion_between
 from mocap_calib.clocks.subframe import find_time_offsets, resample, smoothness
 from mocap_calib.config import Config
@@ -54,7 +53,7 @@ def off(offsets: tuple[float, ...] = OFFSETS, people: int = 1) -> tuple[Recordin
 def adjusted(recording: Recording, matches: Matches) -> CameraRig:
     """The rig that fits as long as nobody asks for clocks."""
     start = finer_scene().rig
-    return adjust(take_sample(recording, slice(None)), start, matches, Config())
+    return adjust_twice(take_sample(recording, slice(None)), start, matches, Config())
 
 
 def error_of_poses(recording: Recording, rig: CameraRig, matches: Matches, people: int) -> float:

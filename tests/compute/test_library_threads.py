@@ -48,7 +48,7 @@ def match():
 
 
 def adjust():
-    refine.adjust(recording(), scene().rig, truth(), Config())
+    refine.adjust_once(recording(), scene().rig, truth(), Config())
 
 
 def triangulate():

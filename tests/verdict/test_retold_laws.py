@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import (
+    adjust_twice,
     lifted,
     mirrored,
     mirrored_rig,
@@ -23,7 +24,6 @@ from scenes import (
     turn_cameras,
 )
 
-from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.identities import finalise_identities
 from mocap_calib.lift import lift
@@ -52,8 +52,8 @@ def test_adjustment_knows_no_order_time_mirror_or_world(how, seed):
     rng = np.random.default_rng(seed)
     start = turn_cameras(scene(**SMALL).rig, 1.0, seed=int(rng.integers(100)))
     found, place, matches, views = told(how, rng, **SMALL)
-    first = adjust(recording(**SMALL), start, truth(**SMALL), Config())
-    second = adjust(found, place(start), matches, Config())
+    first = adjust_twice(recording(**SMALL), start, truth(**SMALL), Config())
+    second = adjust_twice(found, place(start), matches, Config())
     back = mirrored_rig(second) if how == "mirror" else second
     assert rigs_differ(first.select(views), back) < ADJUSTED[how]
 
@@ -62,7 +62,7 @@ def test_adjustment_knows_no_order_time_mirror_or_world(how, seed):
 def assessed(frames: int) -> tuple[CameraRig, Uncertainty]:
     """A rig, adjusted from the truth, and how sure it is."""
     given = recording(frames=frames), scene(frames=frames).rig, truth(frames=frames), Config()
-    rig = adjust(*given)
+    rig = adjust_twice(*given)
     return rig, assess_uncertainty(given[0], rig, *given[2:])
 
 

@@ -4,11 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import PEOPLE, calibrate_group, calibrated, recording, rotation_errors_deg, scene, truth
+from scenes import (
+    PEOPLE,
+    adjust_twice,
+    calibrate_group,
+    calibrated,
+    recording,
+    rotation_errors_deg,
+    scene,
+    truth,
+)
 
 from mocap_calib.adjust import covariance as stage
 from mocap_calib.adjust.covariance import rig_covariance
-from mocap_calib.adjust.refine import adjust
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import (
@@ -76,7 +84,7 @@ def test_the_covariance_is_what_rigs_of_many_draws_of_the_noise_scatter_by():
     for _ in range(12):
         noisy = replace(clean, positions=clean.positions + rng.normal(0, 3, clean.positions.shape))
         sample = take_sample(noisy, slice(None))
-        rig = adjust(sample, scene(**SMALL).rig, matches, config)
+        rig = adjust_twice(sample, scene(**SMALL).rig, matches, config)
         rigs.append(rig_change(scene(**SMALL).rig, rig)[:, :3])
         found = rig_covariance(sample, rig, matches, config)
         sigmas.append(found.rotation_sigma)
@@ -135,7 +143,7 @@ def test_a_statue_determines_the_rig_worse_than_people_who_move():
     sample = take_sample(found.recording, slice(None))
     moving = rig_covariance(sample, found.rig, found.matches, config).rotation_sigma
     still, matches = statue(found)
-    rig = adjust(still, found.rig, matches, config)
+    rig = adjust_twice(still, found.rig, matches, config)
     standing = rig_covariance(still, rig, matches, config).rotation_sigma
     assert np.rad2deg(moving.max()) < 1
     assert standing.max() > 5 * moving.max()
