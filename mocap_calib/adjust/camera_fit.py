@@ -7,7 +7,7 @@ Errors of one joint go together, and those of one stretch of time: what the unkn
 by is measured on these (sandwich covariance, Cameron, Gelbach and Miller 2011), not assumed.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -15,13 +15,10 @@ import numpy as np
 
 from mocap_calib.adjust.covariance import scatter_of
 from mocap_calib.adjust.solve import System, levenberg_marquardt
-from mocap_calib.config import AdjustConfig, CameraFitConfig, Config
+from mocap_calib.config import AdjustConfig, CameraFitConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig import gather_tracks, labelled_frames
-from mocap_calib.rig.triangulate import PlacedCameras, triangulate_rays
-from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints, Sample
+from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints
 
 Unknown = Literal["log_scale", "x", "y", "log_focal"]
 _MOST_LOG = 3.0  # no focal length is so many times another: beyond it a fit has run away
@@ -187,53 +184,3 @@ def linearise_camera(
     by_turn = np.cross(turned[:, None], by_shift, axis=0)
     jacobian = np.concatenate([by_turn, by_shift, *(by_unknown[name][None] for name in free)])
     return LinearisedCamera(np.where(good, residual, _FAR), np.where(good, jacobian, 0.0))
-
-
-# --- points that other cameras place
-
-
-@dataclass(frozen=True)
-class KnownPoints:
-    """Points that some cameras place, and where all cameras saw them.
-
-    points: `[N, 3]` in the world of the rig, NaN = not known. pixels: `[view, N, 2]`, NaN = not
-    seen.
-    """
-
-    points: Floats
-    pixels: Floats
-
-    def seen_by(self, view: int, most: int) -> tuple[Floats, Floats]:
-        """Return the points `[n, 3]` that one view (index) saw, and the pixels `[n, 2]`.
-
-        At most so many, evenly spread.
-        """
-        both = np.isfinite(self.points[:, 0]) & np.isfinite(self.pixels[view, :, 0])
-        index = evenly_spaced(np.flatnonzero(both), most)
-        return self.points[index], self.pixels[view, index]
-
-
-def place_points(sample: Sample, placed: PlacedCameras, views: Ints, config: Config) -> KnownPoints:
-    """Return the points that some views (indices) place, as the rig has these cameras."""
-    frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
-    seen = gather_tracks(sample, placed.matches, frames)
-    weight = np.where(np.isin(np.arange(len(placed.rig)), views)[:, None], seen.weight, 0.0)
-    # the rig may be a little off for all: what disagrees by more is wrong
-    points, _ = triangulate_rays(
-        placed.rig,
-        seen.rays,
-        weight=weight,
-        noise=placed.noise,
-        config=replace(config.triangulate, outlier=config.adjust.outlier),
-    )
-    return KnownPoints(points.T, np.moveaxis(seen.pixels, 1, 2))
-
-
-def median_error(known: KnownPoints, rig: CameraRig, view: int, config: Config) -> float:
-    """Return the median reprojection error of a view in pixels, NaN where it saw nothing."""
-    points, pixels = known.seen_by(view, config.diagnosis.keypoints)
-    if not len(points):
-        return float("nan")
-    in_camera = points @ rig.rotation[view].T + rig.translation[view]
-    error = np.linalg.norm(lens.pixels_from_points(rig.cameras[view], in_camera) - pixels, axis=1)
-    return float(np.median(np.nan_to_num(error, nan=np.inf)))

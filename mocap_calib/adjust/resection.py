@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import Seen, pose_of
+from mocap_calib.adjust.camera_fit import Seen, fit_camera
 from mocap_calib.config import (
     LEAST_FORWARD,
     LEAST_JOINTS,
@@ -21,14 +21,15 @@ from mocap_calib.config import (
     MovedConfig,
     ResectionConfig,
 )
+from mocap_calib.geometry.lens import decompose_projection
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
 from mocap_calib.kernels.association import compare_bodies
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.rig import Tracks
 from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.types import Bools, Floats, Ints, Sample
 
-_REFINED = 8  # poses that are refined, of those that single detections ask for
 FITS = 0.5  # cost below which a detection may show a body
 _CLEARLY = 0.5  # of the other cost: one of two readings is clearly better
 
@@ -91,6 +92,23 @@ def sightings_of(rays: Floats, bodies: Floats) -> Sightings:
     every = Sightings(frame, instance, image[frame, instance], bodies)
     common = every.joints_in_common().sum(-1).max(-1, initial=0)
     return every.select(np.flatnonzero(common >= LEAST_JOINTS))
+
+
+def sightings_beside(
+    sample: Sample,
+    placed: PlacedCameras,
+    view: int,
+    frames: Ints,
+    config: Config,
+    *,
+    seen: Tracks | None = None,
+) -> Sightings:
+    """Return what a view saw of the bodies that the others place.
+
+    seen: the tracks of the frames, where they are gathered already.
+    """
+    bodies = place_bodies(sample, placed, frames, config, seen=seen, without=view)
+    return sightings_of(sample.rays[view][frames], bodies)
 
 
 @dataclass(frozen=True)
@@ -192,34 +210,6 @@ def _moved(poses: Floats, blocks: Floats) -> Floats:
     return np.concatenate([rotation, (poses[..., 3] + step[:, 3:])[..., None]], axis=-1)
 
 
-def find_lost_camera(
-    sample: Sample, placed: PlacedCameras, view: int, config: Config
-) -> Floats | None:
-    """Return the pose `[3, 4]` of a camera that matches no body, None where nothing shows it.
-
-    placed: cameras that place bodies; the labels of the view (index) do not count.
-    """
-    settings = config.moved
-    frames = choose_frames(sample, settings.detections, config)
-    bodies = place_bodies(sample, placed, frames, config, without=view)
-    seen = sightings_of(sample.rays[view][frames], bodies)
-    if len(seen.frame) < settings.least_detections:
-        return None
-    poses = propose_poses(pose_of(placed.rig, view), seen, settings)
-    widest = settings.loose * float(np.median(seen.size))
-    cost = np.nanmean(compare_projections(poses, seen, widest).cost, axis=1)
-    poses, _ = refine_poses(
-        poses[np.argsort(cost, kind="stable")[:_REFINED]],
-        seen,
-        counted=np.ones((min(len(poses), _REFINED), len(seen.frame)), dtype=bool),
-        tolerances=np.geomspace(widest, widest / 10, settings.steps),
-    )
-    cost = compare_projections(poses, seen, widest).cost
-    best = int(np.nanmean(cost, axis=1).argmin())
-    matched = (cost[best] < FITS).mean()
-    return poses[best] if matched >= config.diagnosis.least_matched else None
-
-
 # --- any projection
 
 
@@ -285,6 +275,26 @@ def exchanged_share(
     as_given = ((given < FITS) & (given < _CLEARLY * other)).sum()
     as_other = ((other < FITS) & (other < _CLEARLY * given)).sum()
     return float(as_other) / max(int(as_given + as_other), 1)
+
+
+def find_lost_camera(
+    sample: Sample, placed: PlacedCameras, view: int, config: Config
+) -> Floats | None:
+    """Return the pose `[3, 4]` of a camera that matches no body, None where nothing shows it.
+
+    placed: cameras that place bodies; the labels of the view (index) do not count.
+    """
+    diagnosis, camera = config.diagnosis, sample.cameras[view]
+    frames = choose_frames(sample, config.moved.detections, config)
+    seen = sightings_beside(sample, placed, view, frames, config)
+    found = resect(seen, diagnosis.resection, seed=0)
+    if found is None or (found.individual >= 0).mean() < diagnosis.least_matched:
+        return None
+    pixels = sample.positions[view][frames[seen.frame], seen.instance]
+    known = seen.known_points(found.individual, found.individual >= 0, pixels)
+    start = np.column_stack(decompose_projection(found.projection)[1:])
+    noise = diagnosis.focal_noise * camera.focal
+    return fit_camera(camera, known, start, diagnosis.fit, noise=noise).pose
 
 
 def _unit_size(values: Floats) -> Floats:

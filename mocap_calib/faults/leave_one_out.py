@@ -11,7 +11,7 @@ import numpy as np
 from mocap_calib.adjust.camera_fit import Unknown, fit_camera, pose_of
 from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.refine import adjust_until_stable
-from mocap_calib.adjust.resection import Sightings, exchanged_share, match, sightings_of
+from mocap_calib.adjust.resection import Sightings, exchanged_share, match, sightings_beside
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
@@ -60,8 +60,7 @@ def hold_each(observed: Observed, group: GroupResult, config: Config) -> list[He
 
     def hold(view: int) -> Held:
         """Return one view."""
-        bodies = place_bodies(observed.sample, placed, frames, config, seen=tracks, without=view)
-        seen = sightings_of(observed.sample.rays[view][frames], bodies)
+        seen = sightings_beside(observed.sample, placed, view, frames, config, seen=tracks)
         return Held(
             camera=group.rig.cameras[view],
             pose=pose_of(group.rig, view),

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.adjust.camera_fit import KnownPoints, median_error, place_points, pose_of
+from mocap_calib.adjust.camera_fit import pose_of
 from mocap_calib.adjust.covariance import cautious_covariances, covariance_of, fit_again
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.resection import find_lost_camera
@@ -25,7 +25,12 @@ from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.provenance import judgement, round_sigma
 from mocap_calib.lift import RememberedLift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
-from mocap_calib.recording.sampling import choose_sample_frames, hide_blind_spots, take_sample
+from mocap_calib.recording.sampling import (
+    choose_sample_frames,
+    evenly_spaced,
+    hide_blind_spots,
+    take_sample,
+)
 from mocap_calib.results import (
     Adjusted,
     Cause,
@@ -38,9 +43,9 @@ from mocap_calib.results import (
     Verification,
     VerifiedCamera,
 )
-from mocap_calib.rig import matched_share
+from mocap_calib.rig import gather_tracks, labelled_frames, matched_share
 from mocap_calib.rig.associate import associate
-from mocap_calib.rig.triangulate import PlacedCameras, check_same_cameras
+from mocap_calib.rig.triangulate import PlacedCameras, check_same_cameras, place_bodies
 from mocap_calib.training import on_device
 from mocap_calib.types import (
     Bools,
@@ -223,23 +228,44 @@ def _refit(sample: Sample, placed: PlacedCameras, change: RigChange, config: Con
     if not len(moved) or len(given) == 2:
         return given
     rig, now = given, change.refitted
-    known = place_points(sample, placed, np.flatnonzero(~change.moved), config)
     for view in moved.tolist():
         elsewhere = _with_camera(rig, view, given.cameras[view], pose_of(now, view))
-        camera = _zoomed(known, given, view, config)
+        known = _placed_points(sample, placed, view, ~change.moved, config)
+        camera = _zoomed(*known, given, view)
         zoomed = _with_camera(rig, view, camera, pose_of(given, view))
-        error, other = (median_error(known, each, view, config) for each in (elsewhere, zoomed))
+        error, other = (_median_error(*known, each, view) for each in (elsewhere, zoomed))
         rig = zoomed if other <= config.uncertainty.same_misfit * error else elsewhere
     return rig
 
 
-def _zoomed(known: KnownPoints, rig: CameraRig, view: int, config: Config) -> Camera:
+def _placed_points(
+    sample: Sample, placed: PlacedCameras, view: int, trusted: Bools, config: Config
+) -> tuple[Floats, Floats]:
+    """Return the points `[N, 3]` that trusted views place, and where a view saw them `[N, 2]`."""
+    frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
+    seen = gather_tracks(sample, placed.matches, frames)
+    theirs = replace(seen, weight=np.where(trusted[:, None], seen.weight, 0.0))
+    points = place_bodies(sample, placed, frames, config, seen=theirs).reshape(-1, 3)
+    pixels = seen.pixels[view].T
+    both = np.isfinite(points[:, 0]) & np.isfinite(pixels[:, 0])
+    return points[both], pixels[both]
+
+
+def _median_error(points: Floats, pixels: Floats, rig: CameraRig, view: int) -> float:
+    """Return the median reprojection error of a view in pixels, NaN where it saw nothing."""
+    seen = pixels_from_points(
+        rig.cameras[view], points @ rig.rotation[view].T + rig.translation[view]
+    )
+    error = np.linalg.norm(seen - pixels, axis=1)
+    return float(np.median(np.nan_to_num(error, nan=np.inf))) if len(error) else float("nan")
+
+
+def _zoomed(points: Floats, pixels: Floats, rig: CameraRig, view: int) -> Camera:
     """Return the camera with the focal length that fits known points best where the camera is.
 
     By how much farther from the principal point they are in the image: the median of the outer
     half, of which the errors matter least.
     """
-    points, pixels = known.seen_by(view, config.diagnosis.keypoints)
     camera, in_camera = rig.cameras[view], points @ rig.rotation[view].T + rig.translation[view]
     middle = camera.matrix[:2, 2]
     expected, found = pixels_from_points(camera, in_camera) - middle, pixels - middle
@@ -267,8 +293,8 @@ def _compare(
     size = rig_size(given)
     determined = np.rad2deg(change.sigma[:, 0]) < VERDICT_LIMITS_DEG[2]
     for view, name in enumerate(given.names):
-        others = views[views != view] if len(views) > 2 else views
-        known = place_points(sample, replace(placed, rig=refitted), others, config)
+        others = (views != view) | (len(views) == 2)
+        known = _placed_points(sample, replace(placed, rig=refitted), view, others, config)
         focal = float(np.log(refitted.cameras[view].focal / given.cameras[view].focal))
         word: PlaceWord = "in place" if determined[view] else "not checked"
         if change.moved[view]:
@@ -283,8 +309,8 @@ def _compare(
             shift_sigma=float(shift_sigma * size),
             relative_shift=float(shift),
             focal_change=focal,
-            error_px=median_error(known, given, view, config),
-            refitted_px=median_error(known, refitted, view, config),
+            error_px=_median_error(*known, given, view),
+            refitted_px=_median_error(*known, refitted, view),
         )
         cameras.append(camera)
     return cameras
@@ -378,35 +404,6 @@ def _provenance(
             for what, values in sigmas.items()
         },
     )
-
-
-def verification_to_dict(found: Verification) -> dict[str, Any]:
-    """Return the figures under the keys of `mocap-calib verify --json`; angles in degrees.
-
-    None where a figure of a camera is not known.
-    """
-    cameras = []
-    for camera in found.cameras:
-        figures = {
-            "turn_deg": np.rad2deg(camera.turn),
-            "turn_sigma_deg": np.rad2deg(camera.turn_sigma),
-            "shift": camera.shift,
-            "shift_sigma": camera.shift_sigma,
-            "relative_shift": camera.relative_shift,
-            "focal_change": np.expm1(camera.focal_change),
-            "error_px": camera.error_px,
-            "refitted_px": camera.refitted_px,
-        }
-        known = {key: float(each) if np.isfinite(each) else None for key, each in figures.items()}
-        cameras.append({"name": camera.name, "place": camera.word} | known)
-    return {
-        "verdict": found.verdict,
-        "passes": found.passes,
-        "named": list(found.named),
-        "reasons": list(found.reasons),
-        "unit": found.rig.unit,
-        "cameras": cameras,
-    }
 
 
 def _deg(camera: VerifiedCamera) -> str:

@@ -62,6 +62,16 @@ def test_figures_are_json_and_cameras_without_keypoints_are_said(tool, small):
     assert done.returncode == 0
 
 
+def test_figures_of_a_moved_camera_are_degrees(tool, small, bumped):
+    done = tool("verify", bumped, small / "keypoints", "--json", "--quiet")
+    figures = json.loads(done.stdout)
+    (name,) = figures["named"]
+    assert not figures["passes"]
+    (camera,) = (camera for camera in figures["cameras"] if camera["name"] == name)
+    assert camera["place"] == "moved"
+    assert camera["turn_deg"] > 2 * camera["turn_sigma_deg"] > 0
+
+
 def test_keypoints_of_other_cameras_are_said(tool, small, tmp_path):
     two = tmp_path / "two.yaml"
     mc.write(mc.read_rig(small / "reference.toml").select([0, 1]), two)

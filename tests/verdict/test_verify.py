@@ -15,7 +15,7 @@ from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.sampling import take_sample, with_cameras
 from mocap_calib.results import Verification, VerifiedCamera
 from mocap_calib.types import CameraRig, silent
-from mocap_calib.verdict.verify import describe_move, verification_to_dict, verify_rig
+from mocap_calib.verdict.verify import describe_move, verify_rig
 
 AXIS = np.array([0.48, 0.6, 0.64])
 
@@ -110,7 +110,6 @@ def test_of_two_cameras_nobody_can_say_which_one_moved():
     found = judge(move(true, 1, 2.0))
     assert found.named == true.names
     assert "nobody can say which" in found.reasons[0]
-    assert "inf" not in str(verification_to_dict(found))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -182,12 +181,3 @@ def test_other_cameras_are_refused():
     sample = take_sample(recording(), slice(None))
     with pytest.raises(MismatchError, match="select"):
         mc.verify(sample, scene().rig.select([1, 0, 2, 3]))
-
-
-def test_figures_have_degrees_and_names():
-    figures = verification_to_dict(judge(move(scene().rig, 2, 5.0)))
-    assert figures["named"] == [scene().rig.names[2]]
-    assert not figures["passes"]
-    camera = figures["cameras"][2]
-    assert camera["place"] == "moved"
-    assert camera["turn_deg"] == pytest.approx(5.0, abs=0.3)

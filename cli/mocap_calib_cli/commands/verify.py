@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -74,7 +74,7 @@ def command(
       mocap-calib verify board.toml keypoints/ --json --strict
     """
     from mocap_calib.config import Config
-    from mocap_calib.verdict.verify import verification_to_dict, verify
+    from mocap_calib.verdict.verify import verify
     from mocap_calib_cli import inputs, outputs, screen, verdicts
     from mocap_calib_cli.progress import Reporter
 
@@ -93,13 +93,41 @@ def command(
         )
     absent = [name for name in given.names if name not in rig.names]
     if as_json:
-        figures = verification_to_dict(found) | {"without_keypoints": absent}
+        figures = _figures(found) | {"without_keypoints": absent}
         click.echo(json.dumps(figures, indent=1, allow_nan=False))
     else:
         screen.show(*_describe(found, absent), err=False)
     if output is not None and form is not None:
         _write(output, form, given, found)
     context.exit(1 if found.named else verdicts.exit_status(found.verdict, shared))
+
+
+def _figures(found: "Verification") -> dict[str, Any]:
+    """Return the figures under the keys of `--json`, None where one of a camera is not known."""
+    import numpy as np
+
+    cameras = []
+    for camera in found.cameras:
+        figures = {
+            "turn_deg": np.rad2deg(camera.turn),
+            "turn_sigma_deg": np.rad2deg(camera.turn_sigma),
+            "shift": camera.shift,
+            "shift_sigma": camera.shift_sigma,
+            "relative_shift": camera.relative_shift,
+            "focal_change": np.expm1(camera.focal_change),
+            "error_px": camera.error_px,
+            "refitted_px": camera.refitted_px,
+        }
+        known = {key: float(each) if np.isfinite(each) else None for key, each in figures.items()}
+        cameras.append({"name": camera.name, "place": camera.word} | known)
+    return {
+        "verdict": found.verdict,
+        "passes": found.passes,
+        "named": list(found.named),
+        "reasons": list(found.reasons),
+        "unit": found.rig.unit,
+        "cameras": cameras,
+    }
 
 
 def _choose_format(output: str | None, target: str | None) -> str | None:
@@ -129,12 +157,11 @@ def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
 
 def _camera_table(found: "Verification") -> "Table":
     """Return a table of the cameras: how far each is from where it is given, and its errors."""
-    from mocap_calib.verdict.verify import verification_to_dict
     from mocap_calib_cli.screen import Table, format_number
 
     unit = found.rig.unit
     rows = []
-    for camera in verification_to_dict(found)["cameras"]:
+    for camera in _figures(found)["cameras"]:
         share = camera["relative_shift"]
         cells = [format_number(camera["turn_deg"]), format_number(camera["turn_sigma_deg"])]
         cells.append(format_number(None if share is None else 100 * share))
