@@ -134,9 +134,8 @@ def verify_rig(
     covariance = covariance_of(fitted, config)
     change = find_changes(given, adjusted.rig, cautious_covariances(fitted, config), config)
     placed = PlacedCameras.of(part, adjusted.rig, adjusted.matches, config)
-    placed = replace(placed, rig=given)
-    refitted = _refit(part, placed, change, config)
-    checked = {each.name: each for each in _compare(part, placed, refitted, change, config)}
+    compared, refitted = _compare(part, replace(placed, rig=given), change, config)
+    checked = {each.name: each for each in compared}
     # cameras that contradict each other do not show that another one is inconsistent
     known = sum(camera.word != "not checked" for camera in checked.values()) >= 2
     cameras = tuple(
@@ -218,24 +217,48 @@ def _find_lost_cameras(
 # --- where the cameras that moved are now
 
 
-def _refit(sample: Sample, placed: PlacedCameras, change: RigChange, config: Config) -> CameraRig:
-    """Return the given rig with the moved cameras where they are now.
+def _compare(
+    sample: Sample, placed: PlacedCameras, change: RigChange, config: Config
+) -> tuple[list[VerifiedCamera], CameraRig]:
+    """Return how each camera of the given rig differs from it, and the rig as the cameras are now.
 
-    They are where the adjustment has them, or where they were given with another focal length, if
-    their images fit that as well. Of two cameras it is not known where they are.
+    Moved cameras are where the adjustment has them, or where they were given with another focal
+    length, if their images fit that as well. Of two cameras it is not known where they are.
     """
-    given, moved = placed.rig, np.flatnonzero(change.moved)
-    if not len(moved) or len(given) == 2:
-        return given
-    rig, now = given, change.refitted
-    for view in moved.tolist():
-        elsewhere = _with_camera(rig, view, given.cameras[view], pose_of(now, view))
-        known = _placed_points(sample, placed, view, ~change.moved, config)
-        camera = _zoomed(*known, given, view)
-        zoomed = _with_camera(rig, view, camera, pose_of(given, view))
-        error, other = (_median_error(*known, each, view) for each in (elsewhere, zoomed))
-        rig = zoomed if other <= config.uncertainty.same_misfit * error else elsewhere
-    return rig
+    given, views, cameras = placed.rig, np.arange(len(placed.rig)), []
+    size, moved = rig_size(given), change.moved & (len(given) > 2)
+    determined = np.rad2deg(change.sigma[:, 0]) < VERDICT_LIMITS_DEG[2]
+    now = given
+    for view in np.flatnonzero(moved).tolist():
+        now = _with_camera(now, view, given.cameras[view], pose_of(change.refitted, view))
+    by_moves = now
+    for view, name in enumerate(given.names):
+        others = (views != view) | (len(views) == 2)
+        known = _placed_points(sample, replace(placed, rig=by_moves), view, others, config)
+        word: PlaceWord = "in place" if determined[view] else "not checked"
+        focal, error = 0.0, _median_error(*known, by_moves, view)
+        if change.moved[view]:
+            word, camera = "moved", _zoomed(*known, given, view)
+            zoomed = _with_camera(now, view, camera, pose_of(given, view))
+            other = _median_error(*known, zoomed, view)
+            if moved[view] and other <= config.uncertainty.same_misfit * error:
+                word, now, error = "focal", zoomed, other
+                focal = float(np.log(camera.focal / given.cameras[view].focal))
+        (turn, shift), (turn_sigma, shift_sigma) = (change.size[view], change.sigma[view])
+        camera_found = VerifiedCamera(
+            name=name,
+            word=word,
+            turn=float(turn),
+            turn_sigma=float(turn_sigma),
+            shift=float(shift * size),
+            shift_sigma=float(shift_sigma * size),
+            relative_shift=float(shift),
+            focal_change=focal,
+            error_px=_median_error(*known, given, view),
+            refitted_px=error,
+        )
+        cameras.append(camera_found)
+    return cameras, now
 
 
 def _placed_points(
@@ -283,37 +306,6 @@ def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: Floats) -> Cam
     rotation[view], translation[view] = pose[:, :3], pose[:, 3]
     cameras = (*rig.cameras[:view], camera, *rig.cameras[view + 1 :])
     return replace(rig, cameras=cameras, rotation=rotation, translation=translation)
-
-
-def _compare(
-    sample: Sample, placed: PlacedCameras, refitted: CameraRig, change: RigChange, config: Config
-) -> list[VerifiedCamera]:
-    """Return how each camera of the adjusted rig differs from the given one."""
-    given, views, cameras = placed.rig, np.arange(len(placed.rig)), []
-    size = rig_size(given)
-    determined = np.rad2deg(change.sigma[:, 0]) < VERDICT_LIMITS_DEG[2]
-    for view, name in enumerate(given.names):
-        others = (views != view) | (len(views) == 2)
-        known = _placed_points(sample, replace(placed, rig=refitted), view, others, config)
-        focal = float(np.log(refitted.cameras[view].focal / given.cameras[view].focal))
-        word: PlaceWord = "in place" if determined[view] else "not checked"
-        if change.moved[view]:
-            word = "focal" if focal else "moved"
-        (turn, shift), (turn_sigma, shift_sigma) = (change.size[view], change.sigma[view])
-        camera = VerifiedCamera(
-            name=name,
-            word=word,
-            turn=float(turn),
-            turn_sigma=float(turn_sigma),
-            shift=float(shift * size),
-            shift_sigma=float(shift_sigma * size),
-            relative_shift=float(shift),
-            focal_change=focal,
-            error_px=_median_error(*known, given, view),
-            refitted_px=_median_error(*known, refitted, view),
-        )
-        cameras.append(camera)
-    return cameras
 
 
 # --- verdict and words
@@ -391,18 +383,14 @@ def _provenance(
         if camera.word in ("moved", "focal")
     ]
     errors = [camera.refitted_px for camera in cameras if camera.refitted_px < np.inf]
-    sigmas = {
-        "rotation_sigma_deg": np.rad2deg(covariance.rotation_sigma),
-        "centre_sigma_percent": 100 * covariance.centre_sigma,
-    }
+    sigmas = (np.rad2deg(covariance.rotation_sigma), 100 * covariance.centre_sigma)
+    turns, shifts = (dict(zip(names, map(round_sigma, each), strict=True)) for each in sigmas)
     return judgement(
         verdict.word,
         [*refits, *verdict.reasons],
         float(np.mean(errors)) if errors else None,
-        **{
-            what: {name: round_sigma(each) for name, each in zip(names, values, strict=True)}
-            for what, values in sigmas.items()
-        },
+        rotation_sigma_deg=turns,
+        centre_sigma_percent=shifts,
     )
 
 
