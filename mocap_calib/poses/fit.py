@@ -16,7 +16,7 @@ import numpy as np
 
 from mocap_calib.config import PosesConfig
 from mocap_calib.kernels import pose_bands, pose_energy
-from mocap_calib.kernels.pose_energy import LANES
+from mocap_calib.kernels.pose_energy import FACTOR, LANES
 from mocap_calib.types import Floats, Ints
 
 AROUND = 2  # frames of padding at each end: as far as accelerations reach
@@ -88,35 +88,19 @@ def fit(
     steps: number of Gauss-Newton steps.
     """
     packed = _pack(points, seen, body, strengths, config)
-    found = packed.points
+    losses = (strengths.loss, config.prior_loss)
+    _, _, found, edges, bones = packed.terms
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
-    rounds = config.steps // 2 if len(packed.edges) else 0
+    along = np.empty((len(bones), len(edges), 4 * LANES))
+    rounds = config.steps // 2 if len(edges) else 0
     for _ in range(steps):
         packed.share_accelerations(config)
-        pose_energy.sum_terms(
-            packed.rays,
-            packed.centres,
-            found,
-            packed.edges,
-            packed.bones,
-            strengths.loss,
-            config.prior_loss,
-            packed.along,
-            packed.factor,
-            gradient,
-        )
+        pose_energy.sum_terms(*packed.terms, *losses, along, packed.factor, gradient)
         packed.factor_bands(gradient, config.prior_loss)
         pose_bands.take_step(
-            packed.along,
-            packed.factor,
-            packed.edges,
-            packed.joints,
-            rounds,
-            work,
-            gradient,
-            found,
+            along, packed.factor, edges, len(points), rounds, work, gradient, found
         )
-    return _unpack(found, packed.joints, points.shape[1])
+    return _unpack(found, *points.shape[:2])
 
 
 def covariances(
@@ -128,22 +112,13 @@ def covariances(
     1 / ridge.
     """
     packed = _pack(points, seen, body, strengths, config)
+    losses = (strengths.loss, config.prior_loss)
     packed.share_accelerations(config)
-    pose_energy.sum_known(
-        packed.rays,
-        packed.centres,
-        packed.points,
-        packed.edges,
-        packed.bones,
-        packed.expected,
-        strengths.loss,
-        config.prior_loss,
-        packed.factor,
-    )
-    packed.factor_bands(np.zeros_like(packed.points), config.prior_loss)
+    pose_energy.sum_known(*packed.terms, packed.expected, *losses, packed.factor)
+    packed.factor_bands(np.zeros_like(packed.terms[2]), config.prior_loss)
     found = np.zeros((*packed.factor.shape[:2], 6 * LANES))
     pose_bands.invert_bands(packed.factor, found)
-    return _unpack(found, packed.joints, points.shape[1])
+    return _unpack(found, *points.shape[:2])
 
 
 def squared_errors(points: Floats, seen: Detections) -> Floats:
@@ -256,21 +231,17 @@ def fill_gaps(points: Floats, times: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Packed:
-    """A track as the kernels take it. Points, expected, along and factor are overwritten.
+    """A track as the kernels take it. Points, expected and factor are overwritten.
 
+    terms: rays, centres of the cameras, points, edges and bones, as of `pose_energy.sum_terms`.
     expected: `[frame, 5]` inverse variance of accelerations, the ridge, and the acceleration that
         joints share.
     """
 
     joints: int
-    rays: Floats
-    centres: Floats
-    points: Floats
+    terms: tuple[Floats, Floats, Floats, Ints, Floats]
     steps: Floats
     expected: Floats
-    edges: Ints
-    bones: Floats
-    along: Floats
     factor: Floats
 
     def share_accelerations(self, config: PosesConfig) -> None:
@@ -283,13 +254,13 @@ class _Packed:
             known = self.joints * config.shared_acceleration
             part = known / (1 + known)
             pose_energy.share_accelerations(
-                self.points, self.steps, self.joints, ROUNDS, part, self.expected
+                self.terms[2], self.steps, self.joints, ROUNDS, part, self.expected
             )
 
     def factor_bands(self, gradient: Floats, prior_loss: float) -> None:
         """Add accelerations to the blocks and the gradient, and factor the bands."""
         pose_bands.factor_bands(
-            self.points, self.steps, self.expected, prior_loss, self.factor, gradient
+            self.terms[2], self.steps, self.expected, prior_loss, self.factor, gradient
         )
 
 
@@ -301,25 +272,16 @@ def _pack(
     usual = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
     expected = np.zeros((5, len(usual)))
     expected[0], expected[1] = usual, config.ridge / body.size**2
-    edges, bones = _pack_bones(body, strengths, len(usual))
+    rays = _in_tiles(np.stack([*seen.rays, seen.precision], axis=2))
+    rays = rays.reshape(*rays.shape[:3], 4 * LANES)  # 0 beyond the frames
+    bones = _pack_bones(body, strengths, len(usual))
     return _Packed(
         joints=len(points),
-        rays=_pack_rays(seen),
-        centres=np.ascontiguousarray(seen.centres),
-        points=found,
+        terms=(rays, np.ascontiguousarray(seen.centres), found, *bones),
         steps=np.ascontiguousarray(_padded(body.steps).T),
         expected=np.ascontiguousarray(_padded(expected).T),
-        edges=edges,
-        bones=bones,
-        along=np.empty((len(bones), len(edges), 4 * LANES)),
-        factor=np.zeros((len(found), found.shape[1], 16 * LANES)),
+        factor=np.zeros((len(found), found.shape[1], FACTOR)),
     )
-
-
-def _pack_rays(seen: Detections) -> Floats:
-    """Return rays and precisions `[tile, view, keypoint, 4 * LANES]`, 0 beyond the frames."""
-    found = _in_tiles(np.stack([*seen.rays, seen.precision], axis=2))
-    return found.reshape(*found.shape[:3], 4 * LANES)
 
 
 def _pack_bones(body: Body, strengths: Strengths, frames: int) -> tuple[Ints, Floats]:
