@@ -5,13 +5,13 @@ of all that may move either: measurements by hand, clicks in images, and the rig
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
-from mocap_calib.errors import DegenerateError, MismatchError, count, one_line, suggest
+from mocap_calib.errors import MismatchError, count, one_line, suggest
 from mocap_calib.geometry.rotation import Similarity, align_by_similarity, angle_between, rig_size
 from mocap_calib.recording.corrections import views_by_camera
 from mocap_calib.results import RigCovariance
@@ -19,7 +19,6 @@ from mocap_calib.rig.triangulate import triangulate_pixels
 from mocap_calib.types import METRES, Bools, Camera, CameraRig, Floats, MeasuredLandmark, World
 from mocap_calib.verdict.evaluation import with_axes
 
-_MIRROR = np.array([-1.0, 1.0, 1.0])
 LEAST_LANDMARKS = 3  # that determine a similarity
 
 
@@ -44,30 +43,21 @@ class _Stated:
     turned: Floats | None = None
     turn_sigma: Floats | float = 0.0
 
-    def fit(self, some: Bools, config: WorldConfig) -> "_Fit":
-        """Return the best similarity of those that a mask `[N]` leaves."""
-        found, known = self.found[some], self.known[some]
-        by = align_by_similarity(found.reshape(-1, 3), known.reshape(-1, 3))
-        distance = np.linalg.norm(by.apply(found[:, 0]) - known[:, 0], axis=1)
-        extent = _extent(known[:, 0])
-        offs = [distance / np.hypot(config.stated_sigma * extent, by.scale * self.sigma[some])]
-        turn = np.zeros(len(found))
+    def fit(self, config: WorldConfig) -> "_Fit":
+        """Return the best similarity."""
+        by = align_by_similarity(self.found.reshape(-1, 3), self.known.reshape(-1, 3))
+        distance = np.linalg.norm(by.apply(self.found[:, 0]) - self.known[:, 0], axis=1)
+        extent = _extent(self.known[:, 0])
+        offs = [distance / np.hypot(config.stated_sigma * extent, by.scale * self.sigma)]
+        turn = np.zeros(len(distance))
         if self.turned is not None:
-            turn = angle_between(self.turned[some], by.rotation)
-            offs.append(turn / np.hypot(config.stated_sigma, self.turn_sigma)[some])
-        numbers = 3 * len(found) * len(offs)
+            turn = angle_between(self.turned, by.rotation)
+            offs.append(turn / np.hypot(config.stated_sigma, self.turn_sigma))
+        numbers = 3 * len(distance) * len(offs)
         free = max(numbers - 7, 1)  # the similarity follows 7 of the numbers
         misfit = np.sqrt(numbers / free) * max(map(_rms, offs))
-        scale_sigma = _rms(distance) / extent / np.sqrt(max(3 * len(found) - 7, 1))
+        scale_sigma = _rms(distance) / extent / np.sqrt(max(3 * len(distance) - 7, 1))
         return _Fit(by, distance, turn, np.max(offs, axis=0), float(misfit), scale_sigma)
-
-    def is_mirrored(self, config: WorldConfig) -> bool:
-        """Return whether the mirror image of the places fits, and they themselves do not."""
-        places = replace(self, found=self.found[:, :1], known=self.known[:, :1], turned=None)
-        mirrored = replace(places, found=places.found * _MIRROR)
-        everything = np.ones(len(self.names), dtype=bool)
-        plain, other = (each.fit(everything, config).misfit for each in (places, mirrored))
-        return other <= config.most_misfit < plain
 
 
 @dataclass(frozen=True)
@@ -168,7 +158,6 @@ def align_to_landmarks(
             pixels[views[each.camera], names.index(each.name)] = each.pixel
     found, _ = triangulate_pixels(rig, pixels, np.ones(pixels.shape[:-1]))
     seen = np.isfinite(found[:, 0])
-    _check_landmarks(known[seen], len(names), config)
     _check_landmarks(found[seen], len(names), config)
     detected = np.isfinite(pixels[:, seen, 0])
     stated = _Stated(
@@ -231,45 +220,16 @@ def _check_landmarks(points: Floats, number: int, config: WorldConfig) -> None:
 
 def _fit_or_refuse(stated: _Stated, config: WorldConfig) -> _Fit:
     """Return the fit of all things. Raises MismatchError where it is worse than errors can be."""
-    everything = np.ones(len(stated.names), dtype=bool)
-    fit = stated.fit(everything, config)
-    if fit.misfit <= config.most_misfit:
-        return fit
-    if stated.is_mirrored(config):
+    fit = stated.fit(config)
+    if fit.misfit > config.most_misfit:
+        turn = "" if stated.turned is None else f" and {np.degrees(_rms(fit.turn)):.0f} deg"
         raise MismatchError(
-            f"{stated.option}: expected {stated.things} in right-handed axes, found that their "
-            "mirror image fits the recording; exchange two axes of the file, or negate one"
+            f"{stated.option}: expected {stated.things} where the recording shows them, found "
+            f"them {_describe_distance(stated, fit)}{turn} from there (RMS), most of all "
+            f"{stated.names[int(np.argmax(fit.off))]}; correct or leave out that one, or correct "
+            "the axes of the file, which are right-handed"
         )
-    culprit = find_culprit(
-        lambda some: stated.fit(some, config).misfit <= config.most_misfit,
-        len(everything),
-        least=LEAST_LANDMARKS if stated.turned is None else 2,
-    )
-    worst, advice = int(np.argmax(fit.off)), "correct the file"
-    if culprit is not None:
-        worst = culprit
-        advice = f"correct or leave out {stated.names[worst]}, without which the others fit"
-    turn = "" if stated.turned is None else f" and {np.degrees(_rms(fit.turn)):.0f} deg"
-    raise MismatchError(
-        f"{stated.option}: expected {stated.things} where the recording shows them, found them "
-        f"{_describe_distance(stated, fit)}{turn} from there (RMS), most of all "
-        f"{stated.names[worst]}; {advice}"
-    )
-
-
-def find_culprit(agree: Callable[[Bools], bool], number: int, *, least: int) -> int | None:
-    """Return the index of the one thing without which the others agree, None unless it is one.
-
-    agree: of those that a mask `[N]` leaves. least: so few always agree.
-    """
-    found = []
-    for index in range(number if number > least else 0):
-        try:
-            if agree(np.arange(number) != index):
-                found.append(index)
-        except DegenerateError:
-            continue  # the others are all in one place
-    return found[0] if len(found) == 1 else None
+    return fit
 
 
 def _describe_distance(stated: _Stated, fit: _Fit) -> str:

@@ -17,8 +17,7 @@ from mocap_calib.kinematics import quantile_over_frames
 from mocap_calib.recording.corrections import views_by_camera
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.results import Poses3D, RigCovariance
-from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, World
-from mocap_calib.world.align import find_culprit
+from mocap_calib.types import CameraRig, Floats, MeasuredCue, World
 from mocap_calib.world.floor import (
     Floor,
     Joints,
@@ -110,14 +109,16 @@ def find_scale(cues: Sequence[ScaleCue], on: Measurable, config: WorldConfig) ->
         MeasuredCue(describe_cue(cue), cue.metres, float(factor * length), float(own), float(off))
         for cue, length, own, off in zip(cues, lengths, sigma, residual, strict=True)
     )
-    most = config.most_misfit
-    if (np.abs(residual) > most).any():
-
-        def agree(some: Bools) -> bool:
-            """Return whether the cues that a mask leaves agree with each other."""
-            return not (np.abs(_combine(logs[some], sigma[some])[1]) > most).any()
-
-        raise _contradiction(measured, find_culprit(agree, len(cues), least=2))
+    if (np.abs(residual) > config.most_misfit).any():
+        listed = ", ".join(
+            f"{cue.text}={cue.metres:g} m ({cue.measured:.3g} m by all of them, "
+            f"{abs(cue.residual):.1f} sigma off)"
+            for cue in measured
+        )
+        raise MismatchError(
+            f"scale: expected lengths that agree with each other, found {listed}; "
+            "correct or leave out one of them"
+        )
     return Scale(factor, float(np.sqrt(1 / (1 / sigma**2).sum())), measured)
 
 
@@ -127,24 +128,6 @@ def _combine(logs: Floats, sigma: Floats) -> tuple[float, Floats]:
     mean = float(weight @ logs / weight.sum())
     left = np.maximum(sigma**2 - 1 / weight.sum(), 0.0)  # the mean follows each of them in part
     return mean, (mean - logs) / np.sqrt(left) if len(logs) > 1 else np.array([np.nan])
-
-
-def _contradiction(cues: Sequence[MeasuredCue], culprit: int | None) -> MismatchError:
-    """Return the refusal of cues that differ by more than their errors allow.
-
-    culprit: index of the one without which the others agree.
-    """
-    listed = ", ".join(
-        f"{cue.text}={cue.metres:g} m ({cue.measured:.3g} m by all of them, "
-        f"{abs(cue.residual):.1f} sigma off)"
-        for cue in cues
-    )
-    advice = "correct or leave out one of them"
-    if culprit is not None:
-        advice = f"correct or leave out {cues[culprit].text}, without which the others agree"
-    return MismatchError(
-        f"scale: expected lengths that agree with each other, found {listed}; {advice}"
-    )
 
 
 def _measure(cue: ScaleCue, on: Measurable, config: WorldConfig) -> tuple[float, float]:

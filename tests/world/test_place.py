@@ -160,9 +160,9 @@ def test_landmarks_measured_by_hand_are_good_enough():
 @pytest.mark.parametrize(
     ("stated", "says"),
     [
-        (MARKS * [1, 1, 2], "most of all e; correct or leave out e, without"),
-        (MARKS[:, [1, 0, 2]], "right-handed axes, found that their mirror image"),
-        (MARKS * [1, 3, 1], "most of all . ?; correct the file"),
+        (MARKS * [1, 1, 2], "most of all e; correct or leave out that one"),
+        (MARKS[:, [1, 0, 2]], "correct the axes of the file, which are right-handed"),
+        (MARKS * [1, 3, 1], "most of all .; correct"),
     ],
 )
 def test_landmarks_that_contradict_what_cameras_see_are_refused(stated, says):
@@ -190,9 +190,9 @@ def test_files_of_cameras_are_held_to_the_rig():
     made_up = matrix_from_vector(rng.normal(size=(len(rig), 3)))
     mirrored = rig.centres * [-1, 1, 1]
     for other, says in (
-        (place(rig, one, rig.centres), f"leave out {rig.names[1]}, without which the others fit"),
-        (place(rig, made_up, rig.centres), "deg from there .*; correct the file"),
-        (place(rig, rig.rotation, mirrored), "found them .* deg from there|mirror image"),
+        (place(rig, one, rig.centres), f"most of all {rig.names[1]}; correct"),
+        (place(rig, made_up, rig.centres), "deg from there"),
+        (place(rig, rig.rotation, mirrored), "found them .* deg from there"),
     ):
         with pytest.raises(MismatchError, match=says):
             align_to_cameras(away, WorldConfig(cameras=known_cameras(other)), exact(away))
@@ -240,7 +240,7 @@ def place(rig: CameraRig, rotation: np.ndarray, centres: np.ndarray) -> CameraRi
 def test_an_alignment_that_contradicts_is_left_out_and_said():
     world = placed_by_landmarks(MARKS, MARKS[:, [1, 0, 2]])
     assert world.kind == "camera"
-    assert "right-handed axes" in world.axes_unmet
+    assert "axes of the file, which are right-handed" in world.axes_unmet
 
 
 def placed_by_landmarks(places: np.ndarray, stated: np.ndarray) -> World:
