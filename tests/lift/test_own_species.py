@@ -168,7 +168,7 @@ def test_the_loop_on_the_command_line(tmp_path, tool):
     scene_options = ["--people", "1", "--cameras", "3", "--frames", "240"]
     tool("simulate", *scene_options, "-o", tmp_path / "one")
     files = [tmp_path / "one/keypoints", "--cameras", tmp_path / "one/intrinsics.toml"]
-    tool("run", *files, "--model", "none", "-o", tmp_path / "alone")
+    tool("run", *files, "--model", "none", "-o", tmp_path / "alone", "--no-report")
     tool(
         "train",
         "--from",
