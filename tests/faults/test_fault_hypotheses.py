@@ -66,6 +66,7 @@ def test_a_cropped_camera_is_named_and_corrected():
 @pytest.mark.slow
 @pytest.mark.parametrize("people", [1, 3])
 def test_nobody_is_accused_where_all_is_sound(people):
+    """Of anything: neither of a fault of all frames, nor of having moved, nor of a clock."""
     result = calibrate_all(plain(people=people))
     assert result.faults == ()
 
