@@ -146,8 +146,13 @@ def nearest_quarter(roll: Floats, config: DiagnosisConfig) -> Ints:
 
 
 def differs(held: Held, keypoints: tuple[str, ...], settings: Config) -> bool:
-    """Return whether a camera asks for other intrinsics, or for exchanged sides."""
+    """Return whether a camera asks for other intrinsics, or for exchanged sides.
+
+    One asks for neither whose detections are of frames without points of the others.
+    """
     config, seen, tolerance = settings.diagnosis, held.seen, settings.adjust.outlier * held.noise
+    if not len(seen.frame):
+        return False
     exchanged = replace(seen, image=seen.image[:, exchanged_sides(keypoints)])
     share = exchanged_share(seen, exchanged, held.pose, tolerance)
     body, _ = match(seen, held.pose, tolerance)
