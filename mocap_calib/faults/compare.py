@@ -24,17 +24,17 @@ from mocap_calib.faults.leave_one_out import (
     Held,
     OtherCameras,
     leave_out,
-    nearest_quarter,
     pose_beside,
-    rolls,
+    quarter_turn,
     screen_cameras,
 )
 from mocap_calib.geometry.lens import decompose_projection
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, Fault
-from mocap_calib.rig import MEDIAN_DISTANCE, Observed
-from mocap_calib.types import Camera, Floats, Ints
+from mocap_calib.rig import MEDIAN_DISTANCE, Observed, labelled_frames
+from mocap_calib.rig.triangulate import place_bodies
+from mocap_calib.types import Floats, Ints
 
 _ROUGH_KEYPOINTS = 300  # of a first fit
 _EXACT = ("mirrored", "sides", "rotated")  # faults without unknowns
@@ -187,9 +187,12 @@ def fit_hypotheses(
 
     in_rig: the pose of the camera beside the others in the rig of all, where it has one.
     """
-    diagnosis, sample = config.diagnosis, observed.sample.select(frames=others.frames)
+    diagnosis, placed = config.diagnosis, others.placed
+    frames = evenly_spaced(labelled_frames(placed.matches), diagnosis.frames)
+    sample = observed.sample.select(frames=frames)
     # without the given lens distortion, which is nearly right for all hypotheses
-    seen = sightings_of(sample.rays[view], others.points)
+    bodies = place_bodies(others.sample, placed, frames, config)
+    seen = sightings_of(sample.rays[view], bodies)
     exchanged = replace(seen, image=seen.image[:, exchanged_sides(sample.keypoints)])
     both = (resect(each, diagnosis.resection, seed=seed) for each in (seen, exchanged))
     resections = [each for each in both if each is not None]
@@ -197,7 +200,8 @@ def fit_hypotheses(
         return [], 0.0
     best = min(resections, key=lambda each: each.cost)
     matched = best.individual >= 0
-    turn = _quarter_turn(others, best, sample.cameras[view], diagnosis)
+    rotation = decompose_projection(best.projection)[1]
+    turn = quarter_turn(rotation, others.rig.rotation, diagnosis)
     tried = [
         each
         for each in list_hypotheses(sample, view)
@@ -217,20 +221,6 @@ def fit_hypotheses(
     starts += [] if in_rig is None else [in_rig]
     share = exchanged_share(seen, exchanged, best.projection, best.tolerance)
     return _fit_all(tried, known, starts, diagnosis), share
-
-
-def _quarter_turn(
-    others: OtherCameras, best: Resection, camera: Camera, config: DiagnosisConfig
-) -> int:
-    """Return the quarter turn (degrees) by which the camera's images are rotated, 0 = none."""
-    rig, (_, rotation, translation) = others.rig, decompose_projection(best.projection)
-    with_camera = replace(
-        rig,
-        cameras=(*rig.cameras, camera),
-        rotation=np.concatenate([rig.rotation, rotation[None]]),
-        translation=np.concatenate([rig.translation, translation[None]]),
-    )
-    return int(nearest_quarter(rolls(with_camera, config), config)[-1])
 
 
 def _fit_all(

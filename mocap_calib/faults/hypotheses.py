@@ -46,14 +46,13 @@ class Hypothesis:
 
     name: unique among those of a camera; "given" where nothing is wrong.
     camera: with the intrinsics that it would have. pixels: `[frame, instance, keypoint, 2]` the
-        detections as they would be. sides: left and right are exchanged in `pixels`.
+        detections as they would be.
     free: the unknowns besides the pose. mend: the correction, where there are no unknowns.
     """
 
     name: str
     camera: Camera
     pixels: Floats
-    sides: bool = False
     free: tuple[Unknown, ...] = ()
     mend: Mend | None = None
 
@@ -91,7 +90,6 @@ def _corrected(alone: Recording, name: str, mend: Mend) -> Hypothesis:
         name=name,
         camera=corrected.cameras[0],
         pixels=corrected.positions[0].astype(np.float64),
-        sides=name.endswith("sides"),
         mend=mend,
     )
 

@@ -18,14 +18,13 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.hypotheses import log_bayes_factor
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.corrections import exchanged_sides
-from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.results import CalibrationResult, GroupResult, RigCovariance
-from mocap_calib.rig import Observed, gather_tracks, labelled_frames, leave_out_underconstrained
+from mocap_calib.results import CalibrationResult, GroupResult
+from mocap_calib.rig import Observed, gather_tracks, leave_out_underconstrained
 from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import average
-from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
+from mocap_calib.rig.triangulate import PlacedCameras, choose_frames
 from mocap_calib.rig.view_graph import camera_groups, takes_all_pairs
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Sample, silent
+from mocap_calib.types import Camera, CameraRig, Floats, Sample, silent
 
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
 _LOW_SCORE = 0.8  # of a camera's pairs, as a share of that of the other pairs
@@ -91,7 +90,11 @@ def screen_cameras(
     scores = _pair_scores(observed)
     odd |= scores < _LOW_SCORE
     if len(members) >= 3:
-        odd[members] |= nearest_quarter(rolls(group.rig, config.diagnosis), config.diagnosis) != 0
+        turned = group.rig.rotation
+        odd[members] |= [
+            quarter_turn(own, np.delete(turned, view, axis=0), config.diagnosis) != 0
+            for view, own in enumerate(turned)
+        ]
         keypoints = observed.sample.keypoints
         odd[members] |= [differs(each, keypoints, config) for each in held]
     order = np.argsort(scores, kind="stable")
@@ -110,39 +113,19 @@ def _pair_scores(observed: Observed) -> Floats:
     return found
 
 
-def rolls(rig: CameraRig, config: DiagnosisConfig) -> Floats:
-    """Return how far each camera is rotated clockwise about its axis, `[view]` in degrees.
+def quarter_turn(rotation: Floats, others: Floats, config: DiagnosisConfig) -> int:
+    """Return the quarter turn (degrees, clockwise) by which a camera's images are rotated, or 0.
 
-    Against the down of the others' images, which must agree among themselves; NaN where they do
-    not, or where the camera looks up or down.
+    Against the down of the others' images, which must agree among themselves; 0 where they do not,
+    or where any looks up or down. rotation: `[3, 3]`; others: `[view, 3, 3]`.
     """
-    views = len(rig)
-    found = np.full(views, np.nan)
-    for view in range(views):
-        others = np.delete(np.arange(views), view)
-        down = rig.rotation[others, 1].mean(0)
-        among = [_roll(rig.rotation[other], down) for other in others]
-        if len(others) >= 2 and all(abs(roll) < config.upright_deg for roll in among):
-            found[view] = _roll(rig.rotation[view], down)
-    return found
-
-
-def _roll(rotation: Floats, down: Floats) -> float:
-    """Return the angle in degrees from an image's y to a direction `[3]` of the world, clockwise.
-
-    NaN where the camera looks nearly along it.
-    """
-    x, y, z = rotation @ down
-    if np.hypot(x, y) < np.abs(z):
-        return np.nan
-    return float(np.degrees(np.arctan2(-x, y)))
-
-
-def nearest_quarter(roll: Floats, config: DiagnosisConfig) -> Ints:
-    """Return the quarter turn (90, 180 or 270 degrees) that a roll is near, 0 where it is none."""
-    quarters = np.round(np.nan_to_num(roll) / 90)
-    near = np.abs(np.nan_to_num(roll) - 90 * quarters) < config.upright_deg
-    return np.where(near, 90 * quarters % 360, 0).astype(np.int64)
+    down = np.array([*others, rotation]) @ others[:, 1].mean(0)
+    x, y, z = down.T
+    *among, own = np.where(np.hypot(x, y) < np.abs(z), np.inf, np.degrees(np.arctan2(-x, y)))
+    if len(others) < 2 or np.abs(among).max() >= config.upright_deg or not np.isfinite(own):
+        return 0
+    quarters = round(own / 90)
+    return 90 * quarters % 360 if abs(own - 90 * quarters) < config.upright_deg else 0
 
 
 def differs(held: Held, keypoints: tuple[str, ...], settings: Config) -> bool:
@@ -175,17 +158,11 @@ def differs(held: Held, keypoints: tuple[str, ...], settings: Config) -> bool:
 class OtherCameras:
     """The leave-one-out rig of a camera.
 
-    sample, placed: of the other cameras. frames: `[frame]` indices into the sample of some frames.
-    points: `[frame, individual, keypoint, 3]` in the rig's world, NaN = not placed. Individuals are
-        those of a frame, in any order.
-    covariance: of the rig. pair_score: mean over the pairs of the rig.
+    sample, placed: of the other cameras. pair_score: mean over the pairs of the rig.
     """
 
     sample: Sample
     placed: PlacedCameras
-    frames: Ints
-    points: Floats
-    covariance: RigCovariance
     pair_score: float
 
     @property
@@ -214,8 +191,8 @@ def leave_out(
         found = leave_out_underconstrained(others.select(group), build)
     except DegenerateError:
         return None
-    sigma = np.rad2deg(found.covariance.rotation_sigma.max())
-    return found if sigma < most_deg else None
+    covariance = rig_covariance(found.sample, found.rig, found.placed.matches, config)
+    return found if np.rad2deg(covariance.rotation_sigma.max()) < most_deg else None
 
 
 def _others(observed: Observed, view: int, config: Config) -> Observed:
@@ -235,16 +212,9 @@ def _build(observed: Observed, config: Config) -> OtherCameras:
     adjusted = adjust_until_stable(
         sample, averaged.rig, matches, config, lifted=lifted, progress=silent
     )
+    scores = [pair.score for pair in observed.pairs]
     placed = PlacedCameras.of(sample, adjusted.rig, adjusted.matches, config)
-    frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
-    return OtherCameras(
-        sample=sample,
-        placed=placed,
-        frames=frames,
-        points=place_bodies(sample, placed, frames, config),
-        covariance=rig_covariance(sample, placed.rig, placed.matches, config),
-        pair_score=float(np.mean([pair.score for pair in observed.pairs])),
-    )
+    return OtherCameras(sample, placed, pair_score=float(np.mean(scores)))
 
 
 def pose_beside(others: CameraRig, rig: CameraRig, name: str) -> Floats:

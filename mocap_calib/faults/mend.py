@@ -6,7 +6,7 @@ the evidence, and the first alternative for which that suffices is taken.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -37,14 +37,6 @@ _SYSTEMATIC = 0.01  # error of a change of focal length beyond its standard devi
 _UNNATURAL_SIDES = 0.03  # rise of the log spread of lifted bodies; measured 0.05 and more
 
 
-@dataclass(frozen=True)
-class _Correction:
-    """Faults, and what follows from correcting them."""
-
-    faults: tuple[Fault, ...]
-    calibrated: Calibrated
-
-
 def mend_faults(
     recording: Recording, calibrated: Calibrated, calibrate: Calibrate
 ) -> CalibrationResult:
@@ -56,19 +48,30 @@ def mend_faults(
     recording: as it was handed in. calibrated: what was found of it. calibrate: finds the same of
         a recording that was corrected.
     """
-    faults: tuple[Fault, ...] = ()
+    known: tuple[Fault, ...] = ()
     for _ in range(_ROUNDS):
-        best = _best_correction(recording, calibrated, faults, calibrate)
-        if best is None:
+        observed, result = calibrated
+        names = {(fault.camera, fault.word, fault.mend) for fault in known}
+        alternatives = [
+            tuple(each for each in one.faults if (each.camera, each.word, each.mend) not in names)
+            for one in find_alternatives(observed, result, result.config)
+        ]
+        tried = (
+            _try_correction(recording, calibrated, known, new, calibrate)
+            for new in alternatives
+            if mends_of(new) and not _may_be_reflected((*known, *new), result)
+        )
+        corrected = next((each for each in tried if each), None)
+        if corrected is None:  # faults that have no correction are named
+            named = {each.camera: each for new in alternatives for each in new if not each.mend}
+            known += tuple(named.values())
             break
-        if not calibrated[1].config.mend.apply:
-            faults += _only_named(best.faults)
+        new, recalibrated = corrected
+        if not result.config.mend.apply:
+            known += tuple(replace(fault, mend=None) for fault in new)
             break
-        faults += best.faults
-        if best.calibrated is calibrated:
-            break
-        calibrated = best.calibrated
-    return replace(calibrated[1], faults=faults)
+        known, calibrated = (*known, *new), recalibrated
+    return replace(calibrated[1], faults=known)
 
 
 def find_alternatives(
@@ -91,35 +94,13 @@ def find_alternatives(
     return sorted([*exchanged, *faulty, *moved], key=lambda each: -each.evidence)
 
 
-def _best_correction(
-    recording: Recording, calibrated: Calibrated, known: tuple[Fault, ...], calibrate: Calibrate
-) -> _Correction | None:
-    """Return the likeliest correction with which more is explained, None where there is none.
-
-    known: faults that are corrected already. Where no correction explains more, faults that have
-    none are named.
-    """
-    observed, result = calibrated
-    alternatives = [
-        _new_faults(each.faults, known)
-        for each in find_alternatives(observed, result, result.config)
-    ]
-    for new in alternatives:
-        if mends_of(new) and not _may_be_reflected((*known, *new), result):
-            tried = _try_correction(recording, calibrated, known, new, calibrate)
-            if tried is not None:
-                return tried
-    named = {fault.camera: fault for new in alternatives for fault in new if fault.mend is None}
-    return _Correction(tuple(named.values()), calibrated) if named else None
-
-
 def _try_correction(
     recording: Recording,
     calibrated: Calibrated,
     known: tuple[Fault, ...],
     new: tuple[Fault, ...],
     calibrate: Calibrate,
-) -> _Correction | None:
+) -> tuple[tuple[Fault, ...], Calibrated] | None:
     """Return new faults and the calibration with them corrected, None where it explains no more.
 
     Nor where the corrected rig is not determined: what is said of a camera rests on the others.
@@ -137,24 +118,13 @@ def _try_correction(
     before, after = _explained_shares(recording, [calibrated, corrected])
     nats = min(float(fault.evidence["nats"]) for fault in new)
     confirmed = nats + _NATS_OF_ALL * (after - before) > DECISIVE_NATS
-    return _Correction(new, corrected) if confirmed else None
+    return (new, corrected) if confirmed else None
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:
     """Return the corrections of faults; one of two cameras counts once."""
     mends = (fault.mend for fault in faults if not isinstance(fault.mend, CameraClock))
     return tuple(dict.fromkeys(mend for mend in mends if mend is not None))
-
-
-def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, ...]:
-    """Return the faults that are not known yet."""
-    names = {(fault.camera, fault.word, fault.mend) for fault in known}
-    return tuple(fault for fault in found if (fault.camera, fault.word, fault.mend) not in names)
-
-
-def _only_named(faults: Sequence[Fault]) -> tuple[Fault, ...]:
-    """Return the faults as they are where nothing is corrected."""
-    return tuple(replace(fault, mend=None) for fault in faults)
 
 
 def _may_be_reflected(faults: Sequence[Fault], result: CalibrationResult) -> bool:

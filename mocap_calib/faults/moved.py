@@ -11,7 +11,8 @@ bit by bit with each further epoch: a change is believed where it explains far m
 change would (optimal segmentation, Bai and Perron 2003).
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -27,14 +28,14 @@ from mocap_calib.adjust.resection import (
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import DECISIVE_NATS, VERDICT_LIMITS_DEG, Config, MovedConfig
 from mocap_calib.faults.compare import Alternative
-from mocap_calib.faults.leave_one_out import Held, OtherCameras, leave_out, pose_beside
+from mocap_calib.faults.leave_one_out import Held, leave_out, pose_beside
 from mocap_calib.geometry.rotation import angle_between, rig_size
 from mocap_calib.recording.corrections import Moved, own_name
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
-from mocap_calib.results import Fault, GroupResult, Matches
+from mocap_calib.results import Fault, GroupResult
 from mocap_calib.rig import MEDIAN_DISTANCE, Observed, per_frame_labels
-from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
-from mocap_calib.types import CameraRig, Floats, Ints, Recording
+from mocap_calib.rig.triangulate import choose_frames, place_bodies
+from mocap_calib.types import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,12 @@ class Epochs:
     poses: Floats
     tolerance: float
 
-    @property
-    def starts(self) -> Ints:
-        """`[change]` index of the first detection of each epoch but the first."""
-        return self.bounds[1:-1]
+    def moves(self, size: float) -> list[tuple[float, float]]:
+        """Return by how many degrees and how many sizes (of a rig) the camera moves each time."""
+        centres = -np.einsum("pji,pj->pi", self.poses[..., :3], self.poses[..., 3])
+        angles = angle_between(self.poses[:-1, :, :3], self.poses[1:, :, :3])
+        shifts = np.linalg.norm(np.diff(centres, axis=0), axis=1) / size
+        return list(zip(np.rad2deg(angles).tolist(), shifts.tolist(), strict=True))
 
     def costs(self, seen: Sightings) -> Floats:
         """Return the cost `[detection]` of each detection under the pose of its epoch."""
@@ -69,13 +72,8 @@ def find_moved_cameras(
     held: the views of the group.
     """
     observed = observed.select(np.array([*map(observed.recording.names.index, group.rig.names)]))
-    found = []
-    for view in _screen(held, config):
-        changed = _find_changes(observed, group.rig, view, config)
-        faults = _describe_changes(observed, group, changed, config) if changed else ()
-        if changed and faults:
-            found.append(Alternative(faults, changed.evidence))
-    return found
+    found = [_find_changes(observed, group, view, config) for view in _screen(held, config)]
+    return [each for each in found if each is not None]
 
 
 def _screen(held: list[Held], config: Config) -> list[int]:
@@ -94,44 +92,46 @@ def _screen(held: list[Held], config: Config) -> list[int]:
     return [int(view) for view in order if scores[view] > 0]
 
 
-@dataclass(frozen=True)
-class _Changed:
-    """A view with the epochs of its pose.
+def _find_changes(
+    observed: Observed, group: GroupResult, view: int, config: Config
+) -> Alternative | None:
+    """Return a fault for each time that a view was moved, None where its rig shows no change.
 
-    view: its index. frames: `[detection]` indices into the recording. others: its leave-one-out
-    rig, which has the views `members` (indices). evidence: of its changes, in nats.
+    By its leave-one-out rig: one that bends moves its points, as a camera that was moved would see
+    them.
     """
-
-    view: int
-    epochs: Epochs
-    frames: Ints
-    others: OtherCameras
-    members: Ints
-    evidence: float
-
-
-def _find_changes(observed: Observed, rig: CameraRig, view: int, config: Config) -> _Changed | None:
-    """Return a view with its epochs by its leave-one-out rig, None where there is only one.
-
-    rig: of all views.
-    """
-    # a rig that bends moves its points, as a camera that was moved would see them
     others = leave_out(observed, view, config, most_deg=VERDICT_LIMITS_DEG[1])
     if others is None:
         return None
-    sample, names = observed.sample, observed.recording.names
-    frames = choose_frames(sample, config.moved.detections, config)
-    bodies = place_bodies(others.sample, others.placed, frames, config)
-    seen = sightings_of(sample.rays[view][frames], bodies)
-    pose = pose_beside(others.rig, rig, names[view])
-    noise = config.triangulate.least_noise_px / sample.cameras[view].focal
-    epochs, evidence = find_epochs(pose, seen, config.moved, noise)
-    if not evidence:
-        return None
+    sample, recording, settings = observed.sample, observed.recording, config.moved
+    names, placed = recording.names, others.placed
     members = np.array([names.index(name) for name in others.rig.names])
-    return _Changed(
-        view, epochs, observed.sample_frames[frames[seen.frame]], others, members, evidence
-    )
+    frames = choose_frames(sample, settings.detections, config)
+    bodies = place_bodies(others.sample, placed, frames, config)
+    seen = sightings_of(sample.rays[view][frames], bodies)
+    pose = pose_beside(others.rig, group.rig, names[view])
+    noise = config.triangulate.least_noise_px / sample.cameras[view].focal
+    epochs, nats = find_epochs(pose, seen, settings, noise)
+
+    def look(frames: Ints) -> Sightings:
+        """Return what the view saw in some frames (indices), by the bodies that others place."""
+        part = recording.select(views=members, frames=frames)
+        labels = per_frame_labels(group.matches.select(views=members, frames=frames))
+        every = np.arange(len(frames))
+        bodies = place_bodies(part, replace(placed, matches=labels), every, config)
+        own = take_sample(recording.select(views=[view], frames=frames), slice(None))
+        return sightings_of(own.rays[0], bodies)
+
+    moments, faults = observed.sample_frames[frames[seen.frame]], []
+    for change, (angle, shift) in enumerate(epochs.moves(rig_size(others.rig))):
+        if angle > settings.least_angle_deg or shift > settings.least_shift:
+            frame = int(recording.frames[_find_frame(look, moments, epochs, change, settings)])
+            says = f"moved at frame {frame}, turned by {angle:.1f} deg"
+            evidence: dict[str, float | int | str] = {"frame": frame, "angle_deg": angle}
+            evidence |= {"centre_shift": shift * rig_size(group.rig), "nats": nats}
+            name = own_name(names[view], names)
+            faults.append(Fault(name, "moved", says, evidence, Moved(name, frame)))
+    return Alternative(tuple(faults), nats) if faults else None
 
 
 # --- the epochs of a camera
@@ -147,7 +147,9 @@ def find_epochs(
     start: the pose `[3, 4]` in the rig. noise: focal lengths, below which no detector is.
     """
     found = segment(start, seen, config, noise)
-    return choose_epochs([_refine(each, seen, config) for each in found], seen, config)
+    found = [_refine(each, seen, config) for each in found]
+    changes, evidence = choose_number(*total_costs(found, seen), config)
+    return found[changes], evidence
 
 
 def segment(start: Floats, seen: Sightings, config: MovedConfig, noise: float) -> list[Epochs]:
@@ -211,14 +213,6 @@ def _refine(epochs: Epochs, seen: Sightings, config: MovedConfig) -> Epochs:
     return Epochs(bounds, poses, tolerance)
 
 
-def choose_epochs(
-    found: list[Epochs], seen: Sightings, config: MovedConfig
-) -> tuple[Epochs, float]:
-    """Return the epochs that are accepted, of those with 0, 1, ... changes, and their evidence."""
-    changes, evidence = choose_number(*total_costs(found, seen), config)
-    return found[changes], evidence
-
-
 def total_costs(found: list[Epochs], seen: Sightings) -> tuple[Floats, int]:
     """Return the cost of each of several numbers of epochs, and of how many detections.
 
@@ -249,58 +243,36 @@ def choose_number(costs: Floats, detections: int, config: MovedConfig) -> tuple[
     return 0, 0.0
 
 
-# --- the frame, and the fault
-
-
-def _describe_changes(
-    observed: Observed, group: GroupResult, changed: _Changed, config: Config
-) -> tuple[Fault, ...]:
-    """Return a fault for each change of a view that is large enough to matter."""
-    recording, poses = observed.recording, changed.epochs.poses
-    name = own_name(recording.names[changed.view], recording.names)
-    centres = -np.einsum("pji,pj->pi", poses[..., :3], poses[..., 3])
-    angles = np.rad2deg(angle_between(poses[:-1, :, :3], poses[1:, :, :3])).tolist()
-    shifts = np.linalg.norm(np.diff(centres, axis=0), axis=1) / rig_size(changed.others.rig)
-    faults = []
-    for change, (angle, shift) in enumerate(zip(angles, shifts.tolist(), strict=True)):
-        if angle < config.moved.least_angle_deg and shift < config.moved.least_shift:
-            continue
-        index = _find_frame(recording, group.matches, changed, change, config)
-        frame = int(recording.frames[index])
-        evidence = {
-            "frame": frame,
-            "angle_deg": angle,
-            "centre_shift": shift * rig_size(group.rig),
-            "nats": changed.evidence,
-        }
-        says = f"moved at frame {frame}, turned by {angle:.1f} deg"
-        faults.append(Fault(name, "moved", says, evidence, Moved(name, frame)))
-    return tuple(faults)
+# --- the frame
 
 
 def _find_frame(
-    recording: Recording, matches: Matches, changed: _Changed, change: int, config: Config
+    look: Callable[[Ints], Sightings],
+    frames: Ints,
+    epochs: Epochs,
+    change: int,
+    config: MovedConfig,
 ) -> int:
     """Return the index of the first frame after a change that shows the view.
 
     The frames about it are looked at ever more closely, down to each single one.
-    matches: labels of the whole recording.
+    look: at frames of the recording (indices). frames: `[detection]` those of the epochs.
     """
-    start, near = int(changed.epochs.starts[change]), config.moved.least_detections
-    first = int(changed.frames[max(0, start - near)])
-    last = int(changed.frames[min(len(changed.frames) - 1, start + near)])
-    found = int(changed.frames[start])
-    pair = changed.epochs.poses[change : change + 2]
+    start, near = int(epochs.bounds[change + 1]), config.least_detections
+    first = int(frames[max(0, start - near)])
+    last = int(frames[min(len(frames) - 1, start + near)])
+    found = int(frames[start])
+    pair = epochs.poses[change : change + 2]
     while True:
-        frames = evenly_spaced(np.arange(first, last + 1), config.moved.detections)
-        seen = _sightings_in(recording, matches, changed, frames, config)
+        tried = evenly_spaced(np.arange(first, last + 1), config.detections)
+        seen = look(tried)
         if len(seen.frame) < 2:
             return found
-        before, after = last_moments(pair, seen, changed.epochs.tolerance)
-        found = int(frames[after])
-        margin = (last - first) // len(frames)
-        closer = max(first, int(frames[before]) - margin), min(last, found + margin)
-        if len(frames) == last - first + 1 or closer == (first, last):
+        before, after = last_moments(pair, seen, epochs.tolerance)
+        found = int(tried[after])
+        margin = (last - first) // len(tried)
+        closer = max(first, int(tried[before]) - margin), min(last, found + margin)
+        if len(tried) == last - first + 1 or closer == (first, last):
             return found
         first, last = closer
 
@@ -314,16 +286,3 @@ def last_moments(pair: Floats, seen: Sightings, tolerance: float) -> tuple[int, 
     total = np.concatenate([[0.0], (cost[0] - cost[1]).cumsum()])
     moment = int(np.clip(total.argmin(), 1, len(seen.frame) - 1))
     return int(seen.frame[moment - 1]), int(seen.frame[moment])
-
-
-def _sightings_in(
-    recording: Recording, matches: Matches, changed: _Changed, frames: Ints, config: Config
-) -> Sightings:
-    """Return what a view saw in some frames (indices), by the bodies that the others place."""
-    others, members = changed.others, changed.members
-    part = recording.select(views=members, frames=frames)
-    labels = per_frame_labels(matches.select(views=members, frames=frames))
-    placed = PlacedCameras(others.rig, labels, others.placed.noise)
-    bodies = place_bodies(part, placed, np.arange(len(frames)), config)
-    own = take_sample(recording.select(views=[changed.view], frames=frames), slice(None))
-    return sightings_of(own.rays[0], bodies)

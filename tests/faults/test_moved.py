@@ -15,11 +15,11 @@ from mocap_calib.adjust.camera_fit import pose_of
 from mocap_calib.adjust.resection import Sightings, compare_projections, sightings_of
 from mocap_calib.config import DECISIVE_NATS, Config, MovedConfig
 from mocap_calib.faults.moved import (
-    choose_epochs,
     choose_number,
     find_epochs,
     last_moments,
     segment,
+    total_costs,
 )
 from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
@@ -54,7 +54,7 @@ def changed(pose: np.ndarray, degrees: float, metres: float) -> np.ndarray:
 
 def glance(pose: np.ndarray, seen: Sightings) -> float:
     """The evidence of a change before anything is refined."""
-    return choose_epochs(segment(pose, seen, CONFIG, LEAST), seen, CONFIG)[1]
+    return choose_number(*total_costs(segment(pose, seen, CONFIG, LEAST), seen), CONFIG)[1]
 
 
 def rays_of(pose: np.ndarray, bodies: np.ndarray, rng, scale: float = 1.0) -> np.ndarray:
@@ -98,7 +98,7 @@ def test_a_change_is_found_to_the_frame_with_both_poses(degrees, metres):
     seen = sightings([before, after], [71])
     assert glance(before, seen) > 0
     epochs, evidence = find_epochs(before, seen, CONFIG, LEAST)
-    assert len(epochs.starts) == 1
+    assert len(epochs.bounds[1:-1]) == 1
     assert evidence > 2 * DECISIVE_NATS
     assert last_moments(epochs.poses, seen, epochs.tolerance) == (70, 71)
     for found, true in zip(epochs.poses, (before, after), strict=True):
@@ -129,7 +129,7 @@ def test_two_changes_are_found_and_the_way_back_counts():
     first = pose_of(scene(frames=FRAMES, people=2).rig, 1)
     seen = sightings([first, changed(first, 5.0, 0.0), first], [40, 90])
     epochs, _ = find_epochs(first, seen, CONFIG, LEAST)
-    assert seen.frame[epochs.starts].tolist() == [40, 90]
+    assert seen.frame[epochs.bounds[1:-1]].tolist() == [40, 90]
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.03, 0.9])
@@ -138,7 +138,7 @@ def test_errors_that_drift_with_the_subject_are_no_change(scale):
     pose = pose_of(scene(frames=FRAMES, people=2).rig, 1)
     epochs, evidence = find_epochs(pose, sightings([pose], [], scale), CONFIG, LEAST)
     assert evidence == 0
-    assert len(epochs.starts) == 0
+    assert len(epochs.bounds[1:-1]) == 0
 
 
 def test_errors_that_are_alike_at_all_times_do_not_stand_out(monkeypatch):
