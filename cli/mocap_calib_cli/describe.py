@@ -91,3 +91,14 @@ def describe_unused_cameras(names: Sequence[str]) -> list[str]:
 def describe_refused(files: WrittenGroup) -> list[str]:
     """Say which further formats of a group were not written, and why."""
     return [f"{name} is not written: {error}" for name, error in files.refused.items()]
+
+
+def describe_unknown_clocks(result: CalibrationResult) -> list[str]:
+    """Say that the clocks of the cameras could not be compared, where that is so."""
+    looked = result.config.sync.mode != "off"
+    if looked and all(clock.kind == "not known" for clock in result.clocks.cameras):
+        return [
+            "the clocks of the cameras are taken as they are: too little moves, or too few frames "
+            "are shared, to compare them"
+        ]
+    return []

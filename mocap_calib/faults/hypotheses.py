@@ -24,7 +24,7 @@ from mocap_calib.recording.corrections import (
     Rotated,
     Sides,
 )
-from mocap_calib.results import CalibrationResult, Clocks, Fault, FaultWord, Mend
+from mocap_calib.results import Clocks, Fault, FaultWord, Mend
 from mocap_calib.types import Camera, CameraClock, EstimatedCamera, Floats, Recording
 
 ADVICE: dict[FaultWord, str] = {
@@ -276,14 +276,3 @@ def describe_clock(clock: CameraClock, clocks: Clocks) -> dict[str, Any]:
         "applied": clock.differs and clocks.changed,
         "evidence": dict(clock.evidence),
     }
-
-
-def describe_unknown_clocks(result: CalibrationResult) -> list[str]:
-    """Say that the clocks of the cameras could not be compared, where that is so."""
-    looked = result.config.sync.mode != "off"
-    if looked and all(clock.kind == "not known" for clock in result.clocks.cameras):
-        return [
-            "the clocks of the cameras are taken as they are: too little moves, or too few frames "
-            "are shared, to compare them"
-        ]
-    return []

@@ -104,32 +104,6 @@ def direction_angle(first: Floats, second: Floats) -> Floats:
     return np.where(undefined, np.pi, np.arctan2(sine, cosine))
 
 
-def turn_between(first: Floats, second: Floats) -> Floats:
-    """Return the smallest rotations `[..., 3, 3]` that turn vectors `[..., 3]` to along others.
-
-    Of any length. Opposite ones are turned about any axis across; where one of them has no length,
-    nothing is.
-    """
-    a = _unit(first)
-    b = _unit(second)
-    cosine = (a * b).sum(-1)[..., None, None]
-    axis = np.cross(a, b)
-    # R = I + [v]x + [v]x^2 / (1 + cos), v = a x b; a half turn is 2 u u' - I, u across
-    across = np.cross(a, np.eye(3)[np.abs(a).argmin(-1)])
-    across = _unit(across)
-    half_turn = 2 * across[..., :, None] * across[..., None, :] - np.eye(3)
-    opposite = cosine < -1 + 1e-12
-    crossed = skew(axis)
-    usual = np.eye(3) + crossed + crossed @ crossed / np.where(opposite, 1.0, 1 + cosine)
-    return np.where(opposite, half_turn, usual)
-
-
-def _unit(vector: Floats) -> Floats:
-    """Return vectors `[..., 3]` at length 1; those without length as they are."""
-    length = np.linalg.norm(vector, axis=-1, keepdims=True)
-    return np.asarray(vector / np.where(length > 0, length, 1.0), dtype=np.float64)
-
-
 def nearest_rotation(matrix: Floats) -> Floats:
     """Return the rotations `[..., 3, 3]` that maximise tr(R' M), for matrices M `[..., 3, 3]`.
 

@@ -24,9 +24,9 @@ from mocap_calib.geometry.rotation import (
     matrix_from_vector,
     nearest_rotation,
     quaternion_from_matrix,
-    turn_between,
     vector_from_matrix,
 )
+from mocap_calib.io.poses.axes import turn_between
 from mocap_calib.types import Camera, CameraRig
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -17,9 +17,9 @@ import pytest
 from scenes import scene
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.rotation import matrix_from_vector, turn_between
+from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.conversion import convert_poses, load_pose_sources
-from mocap_calib.io.poses.axes import turn_up_axis, turn_upright, up_axis
+from mocap_calib.io.poses.axes import turn_between, turn_up_axis, turn_upright, up_axis
 from mocap_calib.io.poses.blender import describe_scene
 from mocap_calib.io.poses.bvh import _angles
 from mocap_calib.io.poses.bvh_motion import find_motion, make_tree, place_joints

@@ -64,7 +64,6 @@ def command(
       mocap-calib run keypoints/ --image-size 1920x1080 -o out --save-config recording.yaml
       mocap-calib run --config recording.yaml
     """
-    from mocap_calib.faults.hypotheses import describe_unknown_clocks
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
     from mocap_calib_cli import describe, ending, inputs, outputs, verdicts
@@ -87,7 +86,8 @@ def command(
             result = calibrate_job_resumably(job, progress=reporter, mapper=workers)
     written = write_results(job, result)
 
-    reporter.say("", *describe.describe_groups(result), *describe_unknown_clocks(result))
+    groups, clocks = describe.describe_groups(result), describe.describe_unknown_clocks(result)
+    reporter.say("", *groups, *clocks)
     reporter.say(*describe.describe_unused_cameras(result.left_out))
     for number in reversed(range(len(written))):  # the largest group, which counts, comes last
         files, folder = written[number], output / group_folder(number)
