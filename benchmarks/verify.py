@@ -25,7 +25,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import matrix_from_vector, rig_size
 from mocap_calib.lift import lift
 from mocap_calib.lift.lifter import choose_model
-from mocap_calib.recording.sampling import choose_sample_frames, hide_blind_spots, take_sample
+from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import CameraRig, Sample, silent
 from mocap_calib.verdict.verify import verify_rig
@@ -71,7 +71,6 @@ def read(folder: Path) -> tuple[Sample, LiftedPoses, CameraRig]:
     recording = mc.read_recording(folder / "keypoints", rig)
     rig = replace(rig.select(recording.names), cameras=recording.cameras)
     recording, lifter = choose_model(recording, "auto")
-    recording = hide_blind_spots(recording)
     sample = take_sample(recording, choose_sample_frames(recording, Config().sample))
     return sample, lift(sample, lifter, progress=silent), rig
 

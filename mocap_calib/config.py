@@ -29,11 +29,9 @@ class SampleConfig:
     detections: int = 10_000
     frames: int = 500  # at most: of one subject there are not more postures
     least_frames: int = 100
-    candidates: int = 4  # frames looked at for each that is taken
     # frames with several times the usual number of detections are left out
     usual_share: float = 0.9  # of the frames have no more than the usual number
     crowd: int = 2  # so many times the usual number, and so many more
-    cells: int = 6  # of the image, along each side
 
 
 # what is done about clocks that differ: found and mended, found and said, or not looked at

@@ -34,7 +34,7 @@ from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.pairs.solve import PairSolver
 from mocap_calib.poses.stage import smooth_group
 from mocap_calib.recording.names import choose_refinement
-from mocap_calib.recording.sampling import choose_sample_frames, hide_blind_spots, take_sample
+from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.results import CalibrationResult, Clocks, GroupResult, Matches, UnusedPair
 from mocap_calib.rig import Observed, leave_out_underconstrained
 from mocap_calib.rig.associate import associate, label_all_frames
@@ -148,7 +148,6 @@ class _Calibrator:
 
     def observe(self, recording: Recording) -> Observed:
         """Return what is known before a rig is built: sample -> lift -> pairs."""
-        recording = hide_blind_spots(recording)
         with self.clock("sample"):
             sample_frames = choose_sample_frames(recording, self.config.sample)
             sample = take_sample(recording, sample_frames)
@@ -238,7 +237,7 @@ def match(
     of model and device.
     """
     check_same_cameras(recording, rig)
-    recording, lifter = choose_model(hide_blind_spots(recording), model)
+    recording, lifter = choose_model(recording, model)
     lifter = on_device(lifter, device)
     progress = progress or silent
     with single_threaded_libraries():

@@ -23,7 +23,7 @@ from mocap_calib.config import TYPICAL_PERCENTILE, Config, TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.mapped import frame_slices
-from mocap_calib.recording.sampling import evenly_spaced, hide_blind_spots, take_sample, usual_step
+from mocap_calib.recording.sampling import evenly_spaced, take_sample, usual_step
 from mocap_calib.results import Adjusted, Matches, Poses3D, TimeOffsets
 from mocap_calib.rig import Observed, Tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate
@@ -55,7 +55,6 @@ def synchronise_detections(
     if not offsets.used.any():
         return observed, adjusted, offsets
     recording = resample(observed.recording, rig, matches, offsets.applied, config.triangulate)
-    recording = hide_blind_spots(recording)  # some may now lie beyond what the lens model knows
     sample = take_sample(recording, observed.sample_frames)
     observed = replace(observed, recording=recording, sample=sample)
     return observed, replace(adjusted, rig=rig), offsets

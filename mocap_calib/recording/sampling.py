@@ -6,15 +6,13 @@ the images and the pairs of views. Labels and 3D poses are made for all frames, 
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 
-from mocap_calib import mapped
 from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, SampleConfig, SyncConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
-from mocap_calib.types import Bools, Camera, Floats, Ints, Reals, Recording, Sample
+from mocap_calib.types import Camera, Ints, Reals, Recording, Sample
 
 _STRETCH_FRAMES = 400  # at most, in all stretches together, and half the detections of a sample
 
@@ -77,9 +75,9 @@ def with_cameras(sample: Sample, cameras: tuple[Camera, ...]) -> Sample:
 def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     """Return the indices `[frame]` of the frames that calibration looks at, ascending.
 
-    They are all frames that are not overcrowded, or as many as the budget allows, chosen greedily:
-    the next frame is the one that adds most coverage, of cells of each image and of pairs of views
-    with simultaneous detections. What is covered often counts less and less.
+    They are all frames that are not overcrowded, or as many as the budget allows, evenly spaced by
+    what they are worth: a frame counts by the share that it is of what each pair of views sees in
+    common. So frames that no two views see are left out, and pairs that seldom meet are not lost.
 
     Frames with several times the usual number of detections are left out: they would set the size
     of all arrays, and most of their detections are false.
@@ -92,78 +90,12 @@ def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     budget = int(np.clip(config.detections / in_frame, config.least_frames, config.frames))
     if len(uncrowded) <= budget:
         return uncrowded
-    candidates = evenly_spaced(uncrowded, config.candidates * config.frames)
-    shown = _shown_features(recording.select(frames=candidates), config)
-    return candidates[_choose_covering(shown, budget)]
-
-
-def _choose_covering(shown: Floats, count: int) -> Bools:
-    """Return `[frame]` which frames are chosen, one by one by the coverage that they add.
-
-    shown: `[frame, feature]` 1 where a frame shows a feature.
-    """
-    counts = np.zeros(shown.shape[1])
-    taken = np.zeros(len(shown), dtype=bool)
-    for _ in range(count):
-        gain = shown @ (np.sqrt(counts + 1) - np.sqrt(counts))
-        best = int(np.argmax(np.where(taken, -1.0, gain)))
-        taken[best] = True
-        counts += shown[best]
-    return taken
-
-
-def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
-    """Return `[frame, feature]` 1 where a frame shows a feature, else 0.
-
-    Features are the cells of each image with detections, and the pairs of views with simultaneous
-    detections.
-    """
-    detected = recording.detected
-    sees: Bools = np.asarray(detected.any(-1))  # [view, frame]
-    features: list[Bools] = []
-    for view, camera in enumerate(recording.cameras):
-        frame, instance = np.nonzero(detected[view])
-        if not len(frame):
-            continue
-        poses = recording.positions[view, frame, instance].astype(np.float64)
-        largest = np.maximum(np.nanmax(poses, axis=(0, 1)), 1.0)
-        size = np.where(np.array(camera.size) > 0, camera.size, largest)
-        cell = config.cells * np.nanmean(poses, axis=1) / size  # of the middle of each pose
-        column, row = cell.clip(0, config.cells - 1).astype(int).T
-        shown = np.zeros((len(recording.frames), config.cells, config.cells), dtype=bool)
-        shown[frame, column, row] = True
-        features.append(shown.reshape(len(shown), -1))
-    pairs = [(sees[a] & sees[b])[:, None] for a, b in combinations(range(len(sees)), 2)]
-    return np.concatenate([*features, *pairs], axis=1).astype(np.float64)
-
-
-def hide_blind_spots(recording: Recording) -> Recording:
-    """Return the recording without the detections that the cameras' lens models cannot undo.
-
-    With right intrinsics there are hardly any, and without distortion none.
-    """
-    if not any(camera.fisheye or camera.distortion.any() for camera in recording.cameras):
-        return recording
-
-    def show(block: slice) -> Reals:
-        """Return the positions of some frames, NaN where a camera has no ray for them."""
-        views = zip(recording.cameras, recording.positions[:, block], strict=True)
-        missing = np.float32(np.nan)
-        return np.stack(
-            [
-                np.where(np.isnan(lens.rays_from_pixels(camera, seen)[..., :1]), missing, seen)
-                for camera, seen in views
-            ]
-        )
-
-    frames = len(recording.frames)
-    positions = mapped.in_blocks(show, frames, axis=1)
-    confidence = mapped.in_blocks(
-        lambda block: recording.confidence[:, block] * np.isfinite(positions[:, block, ..., 0]),
-        frames,
-        axis=1,
-    )
-    return replace(recording, positions=positions, confidence=confidence)
+    sees = (detections[:, uncrowded] > 0).astype(np.float32)
+    common = sees @ sees.T  # [view, view] frames
+    np.fill_diagonal(common, np.inf)
+    worth = np.cumsum((sees * ((1 / np.maximum(common, 1)) @ sees)).sum(0))
+    wanted = worth[-1] * (np.arange(budget) + 0.5) / budget
+    return uncrowded[np.unique(np.searchsorted(worth, wanted))]
 
 
 def check_joints(recording: Recording) -> None:

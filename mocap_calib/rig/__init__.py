@@ -146,16 +146,18 @@ def pairs_among(
 def gather_tracks(recording: Recording, matches: Matches, frames: Ints) -> Tracks:
     """Return the detections of all individuals in some frames (`[frame]` indices).
 
-    N = frames x individuals x keypoints, in that order.
+    Those that a lens model cannot undistort have no weight. N = frames x individuals x keypoints,
+    in that order.
     """
     pixels, confidence = matched_pixels(recording, matches, frames)
     views, shape = len(pixels), confidence.shape[1:]
     pixels = pixels.reshape(views, -1, 2)
+    rays = lens.unproject_views(recording.cameras, pixels, by_component=True)
     frame, individual, keypoint = (index.ravel() for index in np.indices(shape))
     return Tracks(
         pixels=np.ascontiguousarray(np.moveaxis(pixels, -1, 1)),
-        rays=lens.unproject_views(recording.cameras, pixels, by_component=True),
-        weight=confidence.reshape(views, -1),
+        rays=rays,
+        weight=np.where(np.isnan(rays[:, 0]), 0.0, confidence.reshape(views, -1)),
         frame=frames[frame],
         individual=individual,
         keypoint=keypoint,

@@ -25,12 +25,7 @@ from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.provenance import judgement, round_sigma
 from mocap_calib.lift import RememberedLift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
-from mocap_calib.recording.sampling import (
-    choose_sample_frames,
-    evenly_spaced,
-    hide_blind_spots,
-    take_sample,
-)
+from mocap_calib.recording.sampling import choose_sample_frames, evenly_spaced, take_sample
 from mocap_calib.results import (
     Adjusted,
     Cause,
@@ -109,7 +104,7 @@ def verify(
         cameras = estimate_clocks(recording, lift_sample, rotations, config, seed=seed)
         applied = config.sync.mode != "check"
         clocks = (clocks_from if applied else Clocks.of_one)(recording, cameras)
-        recording = hide_blind_spots(retime(recording, clocks))
+        recording = retime(recording, clocks)
         sample = take_sample(recording, choose_sample_frames(recording, config.sample))
         lifted = lift_sample(sample)
         found = verify_rig(sample, lifted, rig, config, progress=progress)

@@ -32,16 +32,19 @@ def test_the_sample_is_ascending_and_as_large_as_the_budget_allows():
     assert len(sample_frames) == pytest.approx(600 / in_frame.mean(), rel=0.1)
 
 
-def test_rare_moments_are_chosen():
-    """A person, who otherwise stands, is in a corner of one image for one frame of a hundred.
+def test_frames_of_a_pair_that_seldom_meets_are_chosen_and_empty_ones_are_not():
+    """The first camera sees somebody in one frame of a hundred; in half of them nobody is seen.
 
     That frame is in a sample of ten.
     """
     found = recording(**LONG).select(frames=np.zeros(100, dtype=int))
     positions = found.positions.copy()
-    positions[0, 57] += 300.0
+    positions[0, np.arange(100) != 57] = np.nan
+    positions[:, ::2] = np.nan
     rare = replace(found, positions=positions, frames=np.arange(100))
-    assert 57 in choose_sample_frames(rare, SampleConfig(detections=1, least_frames=10))
+    sample_frames = choose_sample_frames(rare, SampleConfig(detections=1, least_frames=10))
+    assert 57 in sample_frames
+    assert (sample_frames % 2 == 1).all()
 
 
 @pytest.mark.slow
