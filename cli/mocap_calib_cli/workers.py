@@ -4,7 +4,7 @@ import logging
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -35,7 +35,8 @@ def open_workers(
         return
     from mocap_calib.compute import parallel
 
-    with _connect(scheduler) if scheduler else parallel.processes(processes) as workers:
+    given = _connect(scheduler) if scheduler else closing(parallel.Processes(processes))
+    with given as workers:
         place = f" by the workers of {scheduler}" if scheduler else ""
         reporter.say(f"{workers.threads} at a time{place}")
         yield workers

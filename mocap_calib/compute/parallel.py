@@ -13,7 +13,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from functools import cache
 from itertools import islice
-from queue import SimpleQueue
 from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -111,28 +110,16 @@ if hasattr(os, "register_at_fork"):  # a child has no threads but its own
 
 
 class Processes:
-    """Implements `types.Mapper` by processes of this machine, each of which uses one thread.
+    """Processes of this machine that are given work, each of which uses one thread.
 
-    threads: how many pieces of work can be done at a time.
+    threads: how many pieces of work can be done at a time. They end with `close`.
     """
 
     def __init__(self, count: int) -> None:
         self.threads = count
         self._workers = [Worker() for _ in range(count)]
-        self._idle: SimpleQueue[Worker] = SimpleQueue()
-        for worker in self._workers:
-            self._idle.put(worker)
+        self._idle = list(self._workers)
         self._pool = ThreadPoolExecutor(count)  # a thread waits for the answer of each process
-
-    def __call__(
-        self, function: Callable[[Item], Result], items: Iterable[Item], /
-    ) -> Iterator[Result]:
-        """Yield `function` of every item as it is done.
-
-        Raises what the function raises, and ClusterError where its process is killed.
-        """
-        for _, result in self.completed(function, items):
-            yield result()
 
     def completed(
         self, function: Callable[[Item], Result], items: Iterable[Item]
@@ -161,7 +148,7 @@ class Processes:
 
     def _call_idle_worker(self, function: Callable[[Item], Result], item: Item) -> Result:
         """Return `function` of an item, computed by a process that has nothing else to do."""
-        worker = self._idle.get()
+        worker = self._idle.pop()
         try:
             return worker.call(function, item)
         except WorkerEndedError as error:
@@ -170,9 +157,9 @@ class Processes:
                 "give it more memory, or do less at a time"
             ) from None
         finally:
-            self._idle.put(worker)
+            self._idle.append(worker)
 
-    def end(self) -> None:
+    def close(self) -> None:
         """End the processes at once, whatever they do."""
         self._pool.shutdown(wait=False, cancel_futures=True)
         for worker in self._workers:
@@ -180,13 +167,3 @@ class Processes:
         self._pool.shutdown()  # the calls under way fail now, and no process starts again
         for worker in self._workers:
             worker.end()
-
-
-@contextmanager
-def processes(count: int) -> Iterator[Processes]:
-    """Give work to `count` processes of this machine, which end with the block."""
-    found = Processes(count)
-    try:
-        yield found
-    finally:
-        found.end()

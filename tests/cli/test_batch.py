@@ -197,7 +197,8 @@ def without_dask(monkeypatch) -> Iterator[None]:
 @pytest.mark.usefixtures("without_dask")
 def test_processes_of_this_machine_need_no_dask():
     with open_workers(Reporter(quiet=True), processes=2) as workers:
-        assert sorted(workers(abs, [-1, -2, -3])) == [1, 2, 3]
+        found = [result() for _, result in workers.completed(abs, [-1, -2, -3])]
+        assert sorted(found) == [1, 2, 3]
 
 
 @pytest.mark.usefixtures("without_dask")

@@ -5,22 +5,24 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 
 import psutil
 import pytest
 from platforms import posix
 
-from mocap_calib.compute.parallel import processes
+from mocap_calib.compute.parallel import Processes
 from mocap_calib.errors import ClusterError
 
 # a process that has given work to another, which says who it is and then works for a minute
 AT_WORK = """
 import sys
-from mocap_calib.compute.parallel import processes
+from contextlib import closing
+from mocap_calib.compute.parallel import Processes
 sys.path += sys.argv[2:]
 from test_processes import say_and_sleep
-with processes(1) as workers:
-    list(workers(say_and_sleep, [sys.argv[1]]))
+with closing(Processes(1)) as workers:
+    list(workers.completed(say_and_sleep, [sys.argv[1]]))
 """
 
 
@@ -46,7 +48,7 @@ def outcome(result):
 
 @posix
 def test_one_item_that_fails_or_kills_its_process_does_not_end_the_others():
-    with processes(2) as workers:
+    with closing(Processes(2)) as workers:
         assert workers.threads == 2
         found = {
             item: outcome(result)
@@ -65,8 +67,8 @@ def test_one_item_that_fails_or_kills_its_process_does_not_end_the_others():
 
 def test_no_more_is_taken_than_keeps_the_processes_busy():
     taken = []
-    with processes(2) as workers:
-        for _ in workers(abs, (taken.append(k) or k for k in range(9))):
+    with closing(Processes(2)) as workers:
+        for _ in workers.completed(abs, (taken.append(k) or k for k in range(9))):
             break
     assert taken == [0, 1, 2, 3]
 
@@ -75,9 +77,9 @@ def start_and_interrupt(path):
     """Have a process work for a minute, and interrupt it after a second."""
     before = signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
-        with processes(1) as workers:
+        with closing(Processes(1)) as workers:
             signal.setitimer(signal.ITIMER_REAL, 1.0)
-            next(workers(say_and_sleep, [path / "one", path / "two"]))
+            next(workers.completed(say_and_sleep, [path / "one", path / "two"]))
     finally:
         signal.signal(signal.SIGALRM, before)
 
