@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import do_in_threads, map_in_threads
 from mocap_calib.config import (
     COPY_COMPARED,
     COPY_FEW,
@@ -142,53 +142,27 @@ def _fill_arrays(
     column_of = {meaning: column for column, meaning in enumerate(shared)}
 
     def fill(v: int) -> None:
-        columns = [column_of.get(meanings[name], -1) for name in views[v].keypoints]
-        _fill_view(
-            views[v],
-            frames=frames,
-            columns=np.array(columns, dtype=np.int64),
-            positions=positions[v],
-            confidence=confidence[v],
-        )
+        """Fill the arrays of one view."""
+        view = views[v]
+        columns = [column_of.get(meanings[name], -1) for name in view.keypoints]
+        used = np.flatnonzero(np.array(columns) >= 0)
+        largest = largest_confidence(view.confidence)
+        for block in mapped.frame_slices(len(frames)):
+            row = np.searchsorted(view.frames, frames[block]).clip(max=len(view.frames) - 1)
+            at = np.flatnonzero(view.frames[row] == frames[block])
+            rows, of_view = mapped.as_slice(row[at]), mapped.as_slice(used)
+            seen = view.positions[rows][:, :, of_view].astype(np.float32)
+            scaled = (view.confidence[rows][:, :, of_view] / largest).clip(0.0, 1.0)
+            known = np.isfinite(seen).all(-1) & ~find_repeated(seen)[..., None]
+            place = np.ix_(at, np.arange(seen.shape[1]), np.array(columns)[used])
+            own_positions = np.full((len(row), *shape[2:], 2), np.nan, np.float32)
+            own_confidence = np.zeros((len(row), *shape[2:]), np.float32)
+            own_positions[place] = np.where(known[..., None], seen, np.nan)
+            own_confidence[place] = np.where(known, scaled, 0.0)
+            positions[v, block], confidence[v, block] = own_positions, own_confidence
 
-    list(map_in_threads(fill, range(len(views))))
+    do_in_threads(fill, range(len(views)))
     return positions, confidence
-
-
-def _fill_view(
-    view: Keypoints2D,
-    *,
-    frames: Ints,
-    columns: Ints,
-    positions: Reals,
-    confidence: Reals,
-) -> None:
-    """Fill the arrays of one view of a recording in place.
-
-    frames: `[frame]` numbers of the recording.
-    columns: `[keypoint]` index in the recording of each keypoint of the view, -1 = not shared.
-    positions: `[frame, instance, keypoint, 2]`. confidence: `[frame, instance, keypoint]`.
-    """
-    absent = np.flatnonzero(~np.isin(frames, view.frames))
-    for block in mapped.frame_slices(len(absent)):
-        positions[absent[block]], confidence[absent[block]] = np.nan, 0.0
-    used = np.flatnonzero(columns >= 0)
-    of_view, of_recording = mapped.as_slice(used), mapped.as_slice(columns[used])
-    instances = slice(view.positions.shape[1])
-    largest = largest_confidence(view.confidence)
-    shared_rows = np.flatnonzero(np.isin(view.frames, frames))
-    for block in mapped.frame_slices(len(shared_rows)):
-        rows = mapped.as_slice(shared_rows[block])
-        at = mapped.as_slice(np.searchsorted(frames, view.frames[rows]))
-        seen = view.positions[rows][:, :, of_view].astype(np.float32)
-        scaled = (view.confidence[rows][:, :, of_view] / largest).clip(0.0, 1.0)
-        known = np.isfinite(seen[..., 0]) & np.isfinite(seen[..., 1])
-        missing = ~known | find_repeated(seen)[..., None]
-        own_positions = np.full((len(seen), *positions.shape[1:]), np.nan, np.float32)
-        own_confidence = np.zeros(own_positions.shape[:-1], np.float32)
-        own_positions[:, instances, of_recording] = np.where(missing[..., None], np.nan, seen)
-        own_confidence[:, instances, of_recording] = np.where(missing, 0.0, scaled)
-        positions[at], confidence[at] = own_positions, own_confidence
 
 
 def largest_confidence(confidence: Reals) -> float:
