@@ -10,7 +10,7 @@ docs/conventions.md has the rest.
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -648,6 +648,8 @@ class Recording(Record):
     tracked: Bools
     vocabulary: Ints
     model: str = field(default="people", kw_only=True)
+    # the arrays whose first axes are view and frame
+    _by_view_and_frame: ClassVar[tuple[str, ...]] = ("positions", "confidence")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", intrinsics_of(self.cameras))
@@ -742,11 +744,6 @@ class Recording(Record):
         array: Reals = getattr(self, name)
         return mapped.in_blocks(lambda block: array[views, block], len(self.frames), axis=1)
 
-    @property
-    def _by_view_and_frame(self) -> tuple[str, ...]:
-        """Names of the arrays whose first axes are view and frame."""
-        return ("positions", "confidence")
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sample(Recording):
@@ -761,7 +758,4 @@ class Sample(Recording):
     positions: Floats
     confidence: Floats
     rays: Floats
-
-    @property
-    def _by_view_and_frame(self) -> tuple[str, ...]:
-        return ("positions", "confidence", "rays")
+    _by_view_and_frame: ClassVar = ("positions", "confidence", "rays")
