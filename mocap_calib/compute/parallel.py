@@ -110,7 +110,7 @@ if hasattr(os, "register_at_fork"):  # a child has no threads but its own
 
 
 class Processes:
-    """Processes of this machine that are given work, each of which uses one thread.
+    """Implements `types.Mapper` by processes of this machine, each of which uses one thread.
 
     threads: how many pieces of work can be done at a time. They end with `close`.
     """
@@ -120,6 +120,13 @@ class Processes:
         self._workers = [Worker() for _ in range(count)]
         self._idle = list(self._workers)
         self._pool = ThreadPoolExecutor(count)  # a thread waits for the answer of each process
+
+    def __call__(
+        self, function: Callable[[Item], Result], items: Iterable[Item], /
+    ) -> Iterator[Result]:
+        """Yield `function` of every item as it is done. Raises as a call of `completed` does."""
+        for _, result in self.completed(function, items):
+            yield result()
 
     def completed(
         self, function: Callable[[Item], Result], items: Iterable[Item]
