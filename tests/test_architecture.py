@@ -14,6 +14,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 SOURCES = sorted([*(ROOT / "mocap_calib").rglob("*.py"), *(ROOT / "cli").rglob("*.py")])
+IN_ONE_PLACE = {"types.py", "results.py", "config.py"}  # all nouns, all constants
+NOT_ON_WINDOWS = {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:
@@ -60,11 +62,26 @@ def test_packages_are_listed():
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=[str(p.relative_to(ROOT)) for p in SOURCES])
-def test_text_is_utf8_with_the_same_line_ends_everywhere(path):
-    """Where nothing is said, Windows writes its own line ends, in the code page of the country."""
-    for call in (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if is_text(node)):
-        said = {keyword.arg for keyword in call.keywords}
-        assert said >= {"encoding", "newline"}, f"{path}:{call.lineno}"
+def test_a_module_keeps_the_rules(path):
+    """It is short and documented, like its functions; it can be imported on Windows.
+
+    It opens text as UTF-8 with the same line ends everywhere: where nothing is said, Windows
+    writes its own line ends, in the code page of the country.
+    """
+    text = path.read_text("utf-8")
+    tree = ast.parse(text)
+    assert len(text.splitlines()) <= 420 or path.name in IN_ONE_PLACE
+    assert ast.get_docstring(tree), "a module says what it is for"
+    at_start = [node for node in tree.body if isinstance(node, ast.Import)]
+    assert not NOT_ON_WINDOWS & {alias.name for node in at_start for alias in node.names}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            doc = ast.get_docstring(node, clean=False)
+            lines = node.end_lineno - node.lineno - (len(doc.splitlines()) if doc else 0)
+            assert lines <= 60, f"{node.name}: {lines} lines"
+        if is_text(node):
+            said = {keyword.arg for keyword in node.keywords}
+            assert said >= {"encoding", "newline"}, f"{path}:{node.lineno}"
 
 
 def is_text(node: ast.AST) -> bool:
@@ -83,19 +100,12 @@ POSIX = re.compile(
 )
 
 
-@pytest.mark.parametrize("path", TESTS, ids=[str(p.relative_to(ROOT)) for p in TESTS])
-def test_what_needs_posix_says_so(path):
+def test_what_needs_posix_says_so():
     """And is skipped elsewhere."""
-    text = path.read_text("utf-8")
-    if path.name.startswith("test_") and path.name != Path(__file__).name and POSIX.search(text):
-        assert "from platforms import" in text
-
-
-@pytest.mark.parametrize("path", SOURCES, ids=[str(p.relative_to(ROOT)) for p in SOURCES])
-def test_modules_can_be_imported_on_windows(path):
-    at_start = [n for n in ast.parse(path.read_text("utf-8")).body if isinstance(n, ast.Import)]
-    names = {alias.name for node in at_start for alias in node.names}
-    assert not names & {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}
+    for path in TESTS:
+        text = path.read_text("utf-8")
+        if path.name.startswith("test_") and path != Path(__file__) and POSIX.search(text):
+            assert "from platforms import" in text, path
 
 
 def test_the_readme_says_what_each_dependency_is_for():
@@ -107,8 +117,6 @@ def test_the_readme_says_what_each_dependency_is_for():
     assert sorted(re.findall(r"^\| ([\w-]+) \|", table, re.M)[1:]) == sorted(needed)
 
 
-# all nouns, all constants
-IN_ONE_PLACE = {"types.py", "results.py", "config.py"}
 DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/training/", "mocap_calib/paper/"),
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),
@@ -140,25 +148,9 @@ DOORS = {  # module: where alone it is imported
 }
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=[str(p.relative_to(ROOT)) for p in SOURCES])
-def test_files_are_short_and_documented(path):
-    text = path.read_text("utf-8")
-    assert len(text.splitlines()) <= 420 or path.name in IN_ONE_PLACE
-    assert ast.get_docstring(ast.parse(text)), "a module says what it is for"
-
-
 def test_long_files_are_few():
     lengths = [len(path.read_text("utf-8").splitlines()) for path in SOURCES]
     assert sum(length > 330 for length in lengths) <= len(lengths) // 10
-
-
-@pytest.mark.parametrize("path", SOURCES, ids=[str(p.relative_to(ROOT)) for p in SOURCES])
-def test_functions_fit_on_a_screen(path):
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        if isinstance(node, ast.FunctionDef):
-            doc = ast.get_docstring(node, clean=False)
-            lines = node.end_lineno - node.lineno - (len(doc.splitlines()) if doc else 0)
-            assert lines <= 60, f"{node.name}: {lines} lines"
 
 
 @pytest.mark.parametrize("module", DOORS)
