@@ -8,6 +8,7 @@ set arrays in place, without Python's lock. Sums stay in the order in which they
 results do not depend on the machine.
 """
 
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -39,7 +40,24 @@ def drop_stale_code(folder: Path) -> None:
                 index.unlink()
 
 
+def _load_numba_without_blas() -> None:
+    """Import what numba needs of all functions, but not scipy's BLAS: 0.2 s, which none here calls.
+
+    Functions of others that multiply matrices have it imported when they are compiled.
+    """
+    name = "scipy.linalg.cython_blas"
+    if name in sys.modules:
+        return
+    sys.modules[name] = None  # type: ignore[assignment] # Python's way to say that it is missing
+    try:
+        arraymath: Any = import_module("numba.np.arraymath")
+        arraymath._HAVE_BLAS = True
+    finally:
+        del sys.modules[name]
+
+
 drop_stale_code(Path(__file__).parent)
+_load_numba_without_blas()
 
 
 def kernel(*types: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
