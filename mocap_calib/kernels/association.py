@@ -55,90 +55,45 @@ def _mean_fit(
 
 
 @kernel(
-    "f8[:,:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], "
-    "f8[:,:,::1], f8, i8, f8[:,:,:,::1]"
+    "i8[:,::1], f8[:,:,::1], f8[:,:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8, i8, f8[:,:,:,::1]"
 )
 def fit_hypotheses(
+    views: Ints,
     matrices: Floats,
-    back: Floats,
-    rays_a: Floats,
-    rays_b: Floats,
-    weight_a: Floats,
-    weight_b: Floats,
-    body_sizes_per_radian: Floats,
+    rays: Floats,
+    weight: Floats,
+    distance: Floats,
     inlier: float,
     least_common: int,
     fit: Floats,
 ) -> None:
-    """Set the fit `[M, frame, I, J]`, which is 0; see `pairs.affinity.epipolar_fit`.
+    """Set the fit `[M, frame, instance, instance]` of detections with enough joints in common.
 
-    matrices, back: `[M, 3, 3]` essential, and their transposes. rays_a, rays_b: `[frame, instance,
-    3, keypoint]`, 0 = missing. weight_a, weight_b: `[frame, instance, keypoint]`.
-    body_sizes_per_radian: `[frame, I, J]`.
+    See `pairs.affinity.epipolar_fit`.
+
+    views: `[M, 2]` the two views a and b that each essential matrix `[M, 3, 3]` is of. rays:
+    `[view, frame, instance, 3, keypoint]`, and weight: `[view, frame, instance, keypoint]`, 0 =
+    missing. distance: `[view, frame, instance]`.
     """
-    frames, count_a, _, joints = rays_a.shape
-    count_b = rays_b.shape[1]
-    from_a, from_b = np.empty((count_a, 4, joints)), np.empty((count_b, 4, joints))
-    weight, terms = np.empty((count_a, count_b, joints)), np.empty(joints)
-    enough = np.empty((count_a, count_b), dtype=np.bool_)
-    for frame in range(frames):
-        for i in range(count_a):
-            for j in range(count_b):
-                common = _weigh(weight_a[frame, i], weight_b[frame, j], weight[i, j])
-                enough[i, j] = common >= least_common
-        for m in range(len(matrices)):
-            for i in range(count_a):
-                _turn(matrices[m], rays_a[frame, i], from_a[i])
-            for j in range(count_b):
-                _turn(back[m], rays_b[frame, j], from_b[j])
-            for i in range(count_a):
-                for j in range(count_b):
-                    if enough[i, j]:
-                        narrow = (body_sizes_per_radian[frame, i, j] / inlier) ** 2
-                        fit[m, frame, i, j] = _mean_fit(
-                            from_a[i], from_b[j], rays_b[frame, j], weight[i, j], narrow, terms
-                        )
-
-
-@kernel(
-    "f8[:,:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], f8, i8, f8[:,:,:,:,::1], "
-    "f8[:,:,:,:,::1]"
-)
-def fit_all_views(
-    rays: Floats,
-    weight: Floats,
-    distance: Floats,
-    matrices: Floats,
-    inlier: float,
-    least_common: int,
-    affinity: Floats,
-    comparable: Floats,
-) -> None:
-    """Set affinity and comparable `[frame, view, instance, view, instance]`, which are 0.
-
-    rays: `[view, frame, instance, 3, keypoint]`, and weight: `[view, frame, instance, keypoint]`,
-    0 = missing. distance: `[view, frame, instance]`. matrices: `[view, view, 3, 3]` the essential
-    matrix of each pair a < b, and its transpose at (b, a).
-    """
-    views, frames, instances, _, joints = rays.shape
+    _, frames, instances, _, joints = rays.shape
     from_a, from_b = np.empty((instances, 4, joints)), np.empty((instances, 4, joints))
     common, terms = np.empty(joints), np.empty(joints)
     for frame in range(frames):
-        for a in range(views):
-            for b in range(a + 1, views):
-                for i in range(instances):
-                    _turn(matrices[a, b], rays[a, frame, i], from_a[i])
-                    _turn(matrices[b, a], rays[b, frame, i], from_b[i])
-                for i in range(instances):
-                    for j in range(instances):
-                        if _weigh(weight[a, frame, i], weight[b, frame, j], common) < least_common:
-                            continue
-                        closeness = 1 / distance[a, frame, i] ** 2 + 1 / distance[b, frame, j] ** 2
-                        narrow = 2 / (closeness * inlier * inlier)
-                        ray = rays[b, frame, j]
-                        fit = _mean_fit(from_a[i], from_b[j], ray, common, narrow, terms)
-                        affinity[frame, a, i, b, j] = affinity[frame, b, j, a, i] = fit
-                        comparable[frame, a, i, b, j] = comparable[frame, b, j, a, i] = 1.0
+        for m in range(len(matrices)):
+            a, b = views[m, 0], views[m, 1]
+            for i in range(instances):
+                _turn(matrices[m], rays[a, frame, i], from_a[i])
+                _turn(matrices[m].T, rays[b, frame, i], from_b[i])
+            for i in range(instances):
+                for j in range(instances):
+                    if _weigh(weight[a, frame, i], weight[b, frame, j], common) < least_common:
+                        continue
+                    closeness = 1 / distance[a, frame, i] ** 2 + 1 / distance[b, frame, j] ** 2
+                    narrow = 2 / (closeness * inlier * inlier)
+                    ray = rays[b, frame, j]
+                    fit[m, frame, i, j] = _mean_fit(
+                        from_a[i], from_b[j], ray, common, narrow, terms
+                    )
 
 
 @inlined

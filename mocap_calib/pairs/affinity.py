@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
 from mocap_calib.kernels import pair_refinement
-from mocap_calib.kernels.association import fit_all_views, fit_hypotheses, share_in_front
+from mocap_calib.kernels.association import fit_hypotheses, share_in_front
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.pairs.view_pair import (
     ViewPair,
-    body_sizes_per_radian,
     in_blocks,
     matched_rays,
 )
@@ -169,22 +168,36 @@ def epipolar_fit(
     rotation: `[M, 3, 3]`; translation: `[M, 3]` of any length. Returns `[M, frame, I, J]`, 0 where
     detections have too few joints in common.
     """
-    fit = np.zeros((len(rotation), *pair.lifted.shape))
-    matrices = unit_essential_matrix(rotation, translation)
-    fit_hypotheses(
-        *contiguous(
-            matrices,
-            np.swapaxes(matrices, 1, 2),
-            np.swapaxes(pair.a.rays, 2, 3),
-            np.swapaxes(pair.b.rays, 2, 3),
-            pair.a.weight,
-            pair.b.weight,
-            body_sizes_per_radian(pair),
-        ),
-        config.inlier,
-        config.least_joints,
-        fit,
+    return _fit_joints(
+        np.broadcast_to([0, 1], (len(rotation), 2)),
+        unit_essential_matrix(rotation, translation),
+        config,
+        rays=np.stack([pair.a.rays, pair.b.rays]),
+        weight=np.stack([pair.a.weight, pair.b.weight]),
+        distance=np.stack([pair.a.distance, pair.b.distance]),
+        otherwise=0.0,
     )
+
+
+def _fit_joints(
+    views: Ints,
+    matrices: Floats,
+    config: PairwiseConfig,
+    *,
+    rays: Floats,
+    weight: Floats,
+    distance: Floats,
+    otherwise: float,
+) -> Floats:
+    """Return what `epipolar_fit` does, of essential matrices `[M, 3, 3]` of views `[M, 2]`.
+
+    rays: `[view, frame, instance, keypoint, 3]`, and weight: `[view, frame, instance, keypoint]`,
+    0 = missing. distance: `[view, frame, instance]`. otherwise: where joints in common are too few.
+    """
+    fit = np.full((len(views), *distance.shape[1:], distance.shape[2]), otherwise)
+    rays = np.swapaxes(rays, 3, 4)
+    arrays = contiguous(views, matrices, rays, weight, distance)
+    fit_hypotheses(*arrays, config.inlier, config.least_joints, fit)
     return fit
 
 
@@ -205,35 +218,22 @@ def epipolar_affinity(
     something, else 0.
     """
     views, frames, instances, _ = sample.confidence.shape
-    affinity = np.zeros((frames, views, instances, views, instances))
-    comparable = np.zeros_like(affinity)
-    known = np.isfinite(sample.rays[..., :1])
-    rays = np.where(known, sample.rays, 0.0).swapaxes(3, 4)
-    weight = np.where(known[..., 0], sample.confidence, 0.0)
-    fit_all_views(
-        *contiguous(rays, weight, distance, _essential_matrices(rig)),
-        config.inlier,
-        config.least_joints,
-        affinity,
-        comparable,
-    )
-    nodes = views * instances
-    return affinity.reshape(frames, nodes, nodes), comparable.reshape(frames, nodes, nodes)
-
-
-def _essential_matrices(rig: CameraRig) -> Floats:
-    """Return `[view, view, 3, 3]` the essential matrices of all pairs a < b, transposed at (b, a).
-
-    0 on the diagonal.
-    """
-    a, b = np.triu_indices(len(rig.cameras), 1)
+    a, b = np.triu_indices(views, 1)
     rotation = rig.rotation[b] @ np.swapaxes(rig.rotation[a], 1, 2)
     translation = rig.translation[b] - (rotation @ rig.translation[a][..., None])[..., 0]
-    length = np.linalg.norm(translation, axis=-1, keepdims=True)
-    matrices = np.zeros((len(rig.cameras), len(rig.cameras), 3, 3))
-    matrices[a, b] = essential_matrix(rotation, translation / length)
-    matrices[b, a] = np.swapaxes(matrices[a, b], 1, 2)
-    return matrices
+    fit = _fit_joints(
+        np.column_stack([a, b]),
+        unit_essential_matrix(rotation, translation),
+        config,
+        rays=np.nan_to_num(sample.rays),
+        weight=np.where(np.isfinite(sample.rays[..., 0]), sample.confidence, 0.0),
+        distance=distance,
+        otherwise=np.nan,
+    )
+    affinity = np.full((frames, views, instances, views, instances), np.nan)
+    affinity[:, a, :, b], affinity[:, b, :, a] = fit, np.swapaxes(fit, 2, 3)
+    affinity = affinity.reshape(frames, views * instances, -1)
+    return np.nan_to_num(affinity), np.isfinite(affinity).astype(np.float64)
 
 
 # Relative poses, scored and refined
