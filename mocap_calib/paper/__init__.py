@@ -54,17 +54,6 @@ class Found(NamedTuple):
     matches: Ints
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """The rays of two views, and when a joint is an inlier (radians)."""
-
-    rays_a: Floats
-    rays_b: Floats
-    threshold: float
-    config: FivePointConfig
-    estimator: Estimator
-
-
 def estimate_by_loransac(
     rays_a: Floats, rays_b: Floats, threshold: float, trials: int
 ) -> RelativePose | None:
@@ -111,36 +100,46 @@ def five_point_over_matches(
     rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
     threshold: Sampson's angle in radians. Returns None where no model is found.
     """
-    problem = _Problem(rays_a, rays_b, threshold, config, estimator)
-    best, most = None, 0.0
-    for matched in _candidates(problem, rng):
-        pose = _estimate_pose(problem, matched)
-        if pose is None:
-            continue
-        inliers = _count_inliers(problem, pose)
-        if best is None or inliers > most:
-            best, most = pose, inliers
-    if best is None:
+
+    def estimate(matched: Bools) -> RelativePose | None:
+        """Return R and unit t from the joints of matches `[frame, I, J]`, None = there is none."""
+        joints = _correspondences(rays_a, rays_b, matched)
+        if len(joints[0]) < FIVE_POINT_LEAST_JOINTS:
+            return None
+        return estimator(*joints, threshold, config.ransac_iterations)
+
+    def explained(pose: RelativePose) -> int:
+        """Return how many joints of right matches are inliers."""
+        inliers, seen = _inliers(rays_a, rays_b, pose, threshold)
+        return _count_inliers(inliers, seen, config.least_fit)
+
+    drawn = map(estimate, _candidates(rays_a, rays_b, config.candidates, rng))
+    found = [pose for pose in drawn if pose is not None]
+    if not found:
         return None
-    again = _estimate_pose(problem, match_by_pose(rays_a, rays_b, best, threshold))
-    if again is not None and _count_inliers(problem, again) >= most:
-        best = again
+    best = max(found, key=explained)
+    again = estimate(match_by_pose(rays_a, rays_b, best, threshold))
+    if again is not None:
+        best = max(again, best, key=explained)
     matched = match_by_pose(rays_a, rays_b, best, threshold)
     return Found(*best, matches=np.argwhere(matched).astype(np.int64))
 
 
-def _candidates(problem: _Problem, rng: np.random.Generator) -> Iterator[Bools]:
+def _candidates(
+    rays_a: Floats, rays_b: Floats, most: int, rng: np.random.Generator
+) -> Iterator[Bools]:
     """Draw masks `[frame, I, J]` of one or two matches of one frame."""
-    present_a = np.isfinite(problem.rays_a[..., 0]).sum(-1) >= FIVE_POINT_LEAST_JOINTS
-    present_b = np.isfinite(problem.rays_b[..., 0]).sum(-1) >= FIVE_POINT_LEAST_JOINTS
+    present_a, present_b = (
+        np.isfinite(rays[..., 0]).sum(-1) >= FIVE_POINT_LEAST_JOINTS for rays in (rays_a, rays_b)
+    )
     possible = [
         (frame, matches)
         for frame in range(len(present_a))
         for matches in _possible_matches(present_a[frame], present_b[frame])
     ]
-    for k in rng.permutation(len(possible))[: problem.config.candidates]:
+    for k in rng.permutation(len(possible))[:most]:
         frame, matches = possible[k]
-        mask = np.zeros((*problem.rays_a.shape[:2], problem.rays_b.shape[1]), dtype=bool)
+        mask = np.zeros((*present_a.shape, present_b.shape[1]), dtype=bool)
         for i, j in matches:
             mask[frame, i, j] = True
         yield mask
@@ -162,24 +161,12 @@ def _possible_matches(present_a: Bools, present_b: Bools) -> list[list[tuple[int
     return double or [[match] for match in single]
 
 
-def _estimate_pose(problem: _Problem, matched: Bools) -> RelativePose | None:
-    """Return R and unit t from the joints of matches `[frame, I, J]`; None where there is none."""
-    rays_a, rays_b = _correspondences(problem, matched)
-    if len(rays_a) < FIVE_POINT_LEAST_JOINTS:
-        return None
-    trials = problem.config.ransac_iterations
-    return problem.estimator(rays_a, rays_b, problem.threshold, trials)
-
-
-def _correspondences(problem: _Problem, matched: Bools) -> tuple[Floats, Floats]:
+def _correspondences(rays_a: Floats, rays_b: Floats, matched: Bools) -> tuple[Floats, Floats]:
     """Return rays `[N, 3]` of the joints of matches, in front of both image planes."""
     frame, i, j = np.nonzero(matched)
-    rays_a = problem.rays_a[frame, i].reshape(-1, 3)
-    rays_b = problem.rays_b[frame, j].reshape(-1, 3)
-    forward_a = np.nan_to_num(rays_a[:, 2]) > LEAST_FORWARD
-    forward_b = np.nan_to_num(rays_b[:, 2]) > LEAST_FORWARD
-    both = forward_a & forward_b
-    return rays_a[both], rays_b[both]
+    of_a, of_b = rays_a[frame, i].reshape(-1, 3), rays_b[frame, j].reshape(-1, 3)
+    both = np.minimum(np.nan_to_num(of_a[:, 2]), np.nan_to_num(of_b[:, 2])) > LEAST_FORWARD
+    return of_a[both], of_b[both]
 
 
 def match_by_pose(rays_a: Floats, rays_b: Floats, pose: RelativePose, threshold: float) -> Bools:
@@ -214,12 +201,13 @@ def _share(inliers: Ints, seen: Ints) -> Floats:
     return inliers / np.maximum(seen, 1) * (seen >= FIVE_POINT_LEAST_JOINTS)
 
 
-def _count_inliers(problem: _Problem, pose: RelativePose) -> float:
-    """Return how many joints of right matches are inliers."""
-    inliers, seen = _inliers(problem.rays_a, problem.rays_b, pose, problem.threshold)
+def _count_inliers(inliers: Ints, seen: Ints, least: float) -> int:
+    """Return how many joints of right matches are inliers, of the inliers of possible ones.
+
+    least: share of the joints of a right match that are inliers.
+    """
     share = _share(inliers, seen)
-    right = mutual_best(share) & (share >= problem.config.least_fit)
-    return float((inliers * right).sum())
+    return int((inliers * (mutual_best(share) & (share >= least))).sum())
 
 
 def find_by_five_point(pair: ViewPair, focal: float, *, config: FivePointConfig) -> Found | None:

@@ -10,9 +10,8 @@ from mocap_calib.pairs.solve import _known_identities
 from mocap_calib.paper import (
     FivePointConfig,
     _count_inliers,
+    _inliers,
     _possible_matches,
-    _Problem,
-    estimate_by_loransac,
 )
 from mocap_calib.paper import _candidates as _five_point_candidates
 
@@ -59,17 +58,15 @@ def test_inliers_are_counted_of_right_matches_alone():
     points_b[:, :, 0, 1] += 1.0
     points_b[:, 3, :6, 1] += 1.0
     a, b = (each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (points, points_b))
-    problem = _Problem(a, b, 1e-6, FivePointConfig(), estimate_by_loransac)
-    pose = rotation, translation / np.linalg.norm(translation)
-    assert _count_inliers(problem, pose) == 27
+    found = _inliers(a, b, (rotation, translation / np.linalg.norm(translation)), 1e-6)
+    assert _count_inliers(*found, FivePointConfig.least_fit) == 27
 
 
 def test_candidates_are_of_detections_that_are_there():
     """One in each view, the first of one and the second of the other."""
     rays = np.ones((2, 1, 2, 10, 3))
     rays[0, :, 1] = rays[1, :, 0] = np.nan
-    problem = _Problem(rays[0], rays[1], 1e-6, FivePointConfig(), estimate_by_loransac)
-    (mask,) = _five_point_candidates(problem, np.random.default_rng(0))
+    (mask,) = _five_point_candidates(rays[0], rays[1], 60, np.random.default_rng(0))
     assert np.argwhere(mask).tolist() == [[0, 0, 1]]
 
 
