@@ -42,7 +42,7 @@ from mocap_calib.rig.averaging import average
 from mocap_calib.rig.triangulate import check_same_cameras
 from mocap_calib.rig.view_graph import calibrate_view_graph, camera_groups
 from mocap_calib.training import on_device
-from mocap_calib.types import CameraRig, Ints, Mapper, Progress, Recording, silent
+from mocap_calib.types import CameraRig, Mapper, Progress, Recording, silent
 from mocap_calib.verdict.verdict import conclude, judge
 from mocap_calib.world.place import check_world, place_result
 
@@ -178,14 +178,15 @@ class _Calibrator:
                 sample, averaged.rig, matches, config, lifted=lifted, progress=progress
             )
         with clock("match all"):
-            matches = _match_all(
+            labelled = label_all_frames(
                 recording,
                 adjusted.rig,
-                adjusted.matches,
                 config,
                 sample_frames=observed.sample_frames,
+                matches=adjusted.matches,
                 progress=progress,
             )
+            matches = finalise_identities(recording, adjusted.rig, labelled, config)
         with clock("clocks"):
             observed, adjusted, offsets = synchronise_detections(
                 observed, adjusted, matches, config
@@ -245,22 +246,7 @@ def match(
         sample = take_sample(recording, sample_frames)
         lifted = lift(sample, lifter, progress=progress)
         matches = associate(sample, lifted, rig, config, progress=progress)
-        return _match_all(
-            recording, rig, matches, config, sample_frames=sample_frames, progress=progress
+        labelled = label_all_frames(
+            recording, rig, config, sample_frames=sample_frames, matches=matches, progress=progress
         )
-
-
-def _match_all(
-    recording: Recording,
-    rig: CameraRig,
-    matches: Matches,
-    config: Config,
-    *,
-    sample_frames: Ints,
-    progress: Progress,
-) -> Matches:
-    """Label all frames of a recording, given those of its sample, with the same individuals."""
-    labelled = label_all_frames(
-        recording, rig, config, sample_frames=sample_frames, matches=matches, progress=progress
-    )
-    return finalise_identities(recording, rig, labelled, config)
+        return finalise_identities(recording, rig, labelled, config)

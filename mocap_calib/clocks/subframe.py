@@ -103,16 +103,13 @@ def _find_triples(tracks: Tracks, frames: Ints, step: int) -> Ints:
     Points without both neighbours are left out. frames: `[frame]` numbers of the frames of the
     recording.
     """
-    present, rank = np.unique(tracks.frame, return_inverse=True)
-    shape = (len(present) + 1, tracks.individual.max(initial=0) + 1)
-    index = np.full((*shape, tracks.keypoint.max(initial=0) + 1), -1)
-    index[rank, tracks.individual, tracks.keypoint] = np.arange(len(rank))
-    follows = np.append(np.diff(frames[present]) == step, False)[: len(present)]
-    after = np.where(follows[rank], index[rank + 1, tracks.individual, tracks.keypoint], -1)
-    before = np.full(len(rank), -1)
-    before[after[after >= 0]] = np.flatnonzero(after >= 0)
-    own = np.flatnonzero((before >= 0) & (after >= 0))
-    return np.stack([before[own], own, after[own]])
+    number = frames[tracks.frame]
+    order = np.lexsort((number, tracks.keypoint, tracks.individual))
+    same = (np.diff(tracks.individual[order]) == 0) & (np.diff(tracks.keypoint[order]) == 0)
+    follows = same & (np.diff(number[order]) == step)
+    middle = np.flatnonzero(follows[:-1] & follows[1:]) + 1
+    triples = order[np.stack([middle - 1, middle, middle + 1])]
+    return triples[:, np.argsort(triples[1])]
 
 
 def _determined_views(problem: Problem, triples: Ints, least: int) -> Bools:
@@ -149,13 +146,7 @@ def _estimate(
         last = state.intrinsics
         before, here, after = (positions[:, each] for each in triples)
         seen = replace(own.rays, motion=motion_between(here - before, after - here, step))
-        state = minimise(
-            state,
-            seen,
-            freedom,
-            loss_scale=loss_scale,
-            tolerance=_TOLERANCE,
-        )
+        state = minimise(state, seen, freedom, loss_scale=loss_scale, tolerance=_TOLERANCE)
         state = _at_size_of(rig, optimise_points(state, seen, loss_scale=loss_scale))
         positions[:, triples[1]] = state.points
         converged = np.abs(state.intrinsics - last).max() < 0.01
