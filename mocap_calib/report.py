@@ -305,8 +305,7 @@ def verdict_of_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
         key: {camera["name"]: round_sigma(camera[key]) for camera in report["cameras"]}
         for key in CAMERA_SIGMAS
     }
-    of_pairs = {f"pair_{key}": _of_pairs(report, key) for key in CAMERA_SIGMAS}
-    return judgement(verdict["rig"], remarks, error, **sigmas, **of_pairs)
+    return judgement(verdict["rig"], remarks, error, **sigmas)
 
 
 def _describe_faults(report: Mapping[str, Any]) -> list[str]:
@@ -316,22 +315,6 @@ def _describe_faults(report: Mapping[str, Any]) -> list[str]:
         for camera in report["cameras"]
         for fault in camera["fault_evidence"].values()
     ]
-
-
-def _of_pairs(report: Mapping[str, Any], key: str) -> dict[str, dict[str, float]]:
-    """Return a figure of the pairs by the names of their cameras.
-
-    Where a camera was moved, it has several, and the largest counts.
-    """
-    pairs = report["pairs"]
-    views = [pair[side] for pair in pairs for side in ("a", "b")]
-    found: dict[str, dict[str, float]] = {}
-    for pair in pairs:
-        a, b = (own_name(pair[side], views) for side in ("a", "b"))
-        if a != b:
-            row = found.setdefault(a, {})
-            row[b] = max(row.get(b, 0.0), round_sigma(pair[key]))
-    return found
 
 
 def _least_sure_pair(group: GroupResult) -> dict[str, Any]:

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from scenes import calibrated
 
-from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.config import Config
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.group import REVERSED_RIG, write_group
-from mocap_calib.report import _of_pairs, run_report, verdict_of_cameras
+from mocap_calib.report import run_report, verdict_of_cameras
 from mocap_calib.results import FAULT_WORDS, CalibrationResult, Clocks, TimeOffsets
 from mocap_calib.rig import gather_tracks
 from mocap_calib.verdict.verdict import assess
@@ -191,9 +191,6 @@ def test_files_say_the_verdict_and_what_explains_it():
     assert list(report)[:2] == ["schema", "verdict"]
     assert (judged["adjusted"], judged["verdict"]) == (True, report["verdict"]["rig"])
     assert judged["reprojection_error_px"] == report["points"]["mean_error_px"]
-    pair = report["pairs"][0]
-    of_pair = judged["pair_rotation_sigma_deg"][pair["a"]][pair["b"]]
-    assert of_pair == pytest.approx(pair["rotation_sigma_deg"], rel=0.005)
     said = "\n".join(judged["remarks"])
     for expected in (
         "camera rotations (1 SD): 0.",
@@ -201,14 +198,6 @@ def test_files_say_the_verdict_and_what_explains_it():
         "cameras left out: cam9",
     ):
         assert expected in said
-
-
-def test_a_pair_of_cameras_is_as_unsure_as_where_it_is_least():
-    """A camera that was moved has a view for each place; they are no pair."""
-    moved = f"cam2{EPOCH_MARK}30"
-    pairs = [("cam1", "cam2", 0.1234), ("cam1", moved, 0.3456), ("cam2", moved, 0.5)]
-    described = [{"a": a, "b": b, "turn": value} for a, b, value in pairs]
-    assert _of_pairs({"pairs": described}, "turn") == {"cam1": {"cam2": 0.346}}
 
 
 def test_the_error_is_what_anipose_calls_one():

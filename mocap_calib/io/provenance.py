@@ -15,16 +15,15 @@ from mocap_calib.results import VERDICTS
 # what a provenance says of the cameras beside it, and a conversion hands on: whether they were
 # adjusted, the verdict and what explains it, the error of the points in pixels, the first and last
 # frame that they hold for (where a camera was moved), and by the names of cameras how far these may
-# be off, each by itself, and two relative to each other
+# be off
 CAMERA_SIGMAS = ("rotation_sigma_deg", "centre_sigma_percent")
-_PAIR_SIGMAS = tuple(f"pair_{name}" for name in CAMERA_SIGMAS)
 _JUDGEMENT = {
     "adjusted": bool,
     "verdict": str,
     "remarks": list,
     "reprojection_error_px": float,
     "frames": list,
-    **dict.fromkeys((*CAMERA_SIGMAS, *_PAIR_SIGMAS), dict),
+    **dict.fromkeys(CAMERA_SIGMAS, dict),
 }
 _ADVICE = {
     "usable": ": read the reasons; it may be too little for angles of joints",
@@ -59,8 +58,7 @@ def judgement(
     remarks: what explains the verdict, a line each.
     reprojection_error_px: of the points, None where it is not known.
     sigmas: rotation_sigma_deg and centre_sigma_percent by the names of cameras: how far each may be
-        off, a standard deviation; centres in percent of the size of the rig. Likewise of pairs
-        pair_rotation_sigma_deg and pair_centre_sigma_percent, by the names of both.
+        off, a standard deviation; centres in percent of the size of the rig.
     """
     fields = {"adjusted": True, "verdict": verdict, "remarks": list(remarks), **sigmas}
     if reprojection_error_px is not None:
@@ -121,9 +119,6 @@ def read_judgement(stored: Any) -> dict[str, Any]:
         del found["frames"]
     for name in CAMERA_SIGMAS:
         if name in found and not _are_sigmas(found[name]):
-            del found[name]
-    for name in _PAIR_SIGMAS:
-        if name in found and not all(_are_sigmas(row) for row in found[name].values()):
             del found[name]
     return found
 

@@ -117,7 +117,7 @@ JUDGED = judgement(
     ["inconsistent: zo\u00eb's: 'left'"],
     3.25,
     centre_sigma_percent={"zo\u00eb's": 1.5, "1": 0.25},
-    pair_rotation_sigma_deg={"zo\u00eb's": {"1": 0.5}},
+    rotation_sigma_deg={"zo\u00eb's": 0.5},
 )
 WITHOUT_ROOM = {"colmap-binary", "dannce", "multiview-calib", "voxelpose", "4d-association"}
 WITHOUT_COMMENTS = {*WITHOUT_ROOM, "nerfstudio", "openmvg", "panoptic"}
@@ -219,8 +219,7 @@ def test_a_comment_of_another_word_is_no_verdict():
         ({"reprojection_error_px": float("nan")}, {}),
         ({"centre_sigma_percent": {"a": 1.0}}, {"centre_sigma_percent": {"a": 1.0}}),
         ({"centre_sigma_percent": {"a": -1.0}}, {}),
-        ({"pair_centre_sigma_percent": {"a": 1.0}}, {}),
-        ({"pair_rotation_sigma_deg": {"a": {"b": 1.0}, "b": {"c": "small"}}}, {}),
+        ({"rotation_sigma_deg": {"a": 1.0, "b": "small"}}, {}),
     ],
 )
 def test_an_edited_judgement_makes_no_false_comment(edited, kept):
