@@ -17,7 +17,7 @@ from mocap_calib.config import REPORT_FRAMES, VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Cause, GroupResult, Matches
-from mocap_calib.rig import labelled_frames, matched_pixels, matched_share
+from mocap_calib.rig import matched_pixels, matched_share
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
@@ -87,14 +87,6 @@ class Look:
 def convergence(look: Look) -> float:
     """Return the error of a rig whose adjusting and matching did not converge."""
     return 0.0 if look.group.adjusted.converged else OPEN_DEG
-
-
-def few_frames(look: Look) -> float:
-    """Return the error that what all joints have in common in each frame may make.
-
-    No residual shows it; of the frames in which bodies are matched each has an equal share.
-    """
-    return OPEN_DEG / max(len(labelled_frames(look.group.matches)), 1)
 
 
 # Of each camera
@@ -187,13 +179,6 @@ CHECKS = (
         "adjusting and matching did not converge",
         "look for a camera with large errors, and record longer",
         convergence,
-    ),
-    CheckKind(
-        "moments",
-        "5 over the number of frames in which bodies are matched",
-        "bodies are matched in few frames: errors that all joints of a frame share do not show",
-        "record longer",
-        few_frames,
     ),
     CheckKind(
         "pair score",

@@ -353,22 +353,19 @@ def estimated_focal_changes(
     What the rig changes by when focal lengths that were estimated together become longer by a
     standard deviation and the rig is adjusted again; none where focal lengths were given.
     """
-    sigma = np.array(
-        [
-            camera.focal_sigma / camera.focal if isinstance(camera, EstimatedCamera) else 0.0
-            for camera in rig.cameras
-        ]
-    )
+    sigma = np.zeros(len(rig))
+    for view, camera in enumerate(rig.cameras):
+        if isinstance(camera, EstimatedCamera):
+            sigma[view] = camera.focal_sigma / camera.focal
     kind = shared_intrinsics(rig.cameras, config.intrinsics)
     # cameras whose focal lengths are one estimate have one sigma
     _, group = np.unique(np.stack([kind, sigma.round(9)]), axis=1, return_inverse=True)
     changes = []
     for number in np.unique(group[sigma > 0]):
+        longer = np.where(group == number, sigma, 0.0)
         cameras = tuple(
             change_intrinsics(camera, log_focal=change, k1=0.0)
-            for camera, change in zip(
-                rig.cameras, np.where(group == number, sigma, 0.0), strict=True
-            )
+            for camera, change in zip(rig.cameras, longer, strict=True)
         )
         changed = replace(rig, cameras=cameras)
         try:
