@@ -60,8 +60,7 @@ def in_tracks(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("people", [2, 3])
-@pytest.mark.parametrize("swaps", [0.0, 0.5])
+@pytest.mark.parametrize(("people", "swaps"), [(2, 0.0), (3, 0.5)])
 def test_tracks_in_another_order_in_each_view_and_exchanged(people, swaps):
     """Identities permuted between the cameras, without exchanges and with half of them exchanged.
 
