@@ -33,7 +33,7 @@ def adjust_by_ceres(
 
     Takes, keeps and raises what `refine.adjust_once` does. All detections count the same.
     """
-    problem = choose_problem(sample, rig, matches, config, all_detections=not already_close)
+    problem = choose_problem(sample, rig, matches, config)
     model = _build_model(problem)
     if not already_close:
         for wider in config.adjust.loss_scales[:-1]:

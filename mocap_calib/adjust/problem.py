@@ -129,12 +129,10 @@ def choose_problem(
     config: Config,
     *,
     points: int | None = None,
-    all_detections: bool = False,
 ) -> Problem:
     """Return the problem of evenly spread frames.
 
-    points: how many, about; None: as many as the adjustment needs. all_detections: none is left
-        out for its confidence, as suits a start that is far off.
+    points: how many, about; None: as many as the adjustment needs.
 
     Raises DegenerateError where there is no match at all, and UnderconstrainedCameraError for the
     camera that has the fewest points, where they are too few to constrain it.
@@ -146,8 +144,6 @@ def choose_problem(
         )
     in_frame = per_frame_labels(matches)  # who it is in other frames does not matter here
     frames = _choose_frames(sample, in_frame, points or config.adjust.points)
-    adjust = replace(config.adjust, low_confidence_share=0.0) if all_detections else config.adjust
-    config = replace(config, adjust=adjust)
     problem = problem_of_frames(sample, rig, in_frame, frames, config)
     _check_every_camera(rig, problem.tracks.used, config.adjust.least_keypoints)
     return problem

@@ -12,7 +12,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import points_in_cameras, project_views
 from mocap_calib.geometry.rotation import angle_between, with_size_of
 from mocap_calib.results import Adjusted, LiftedPoses, Matches
-from mocap_calib.rig import Tracks, gather_tracks, labelled_frames, measure_residuals
+from mocap_calib.rig import gather_tracks, labelled_frames, measure_residuals
 from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import factorise, label_single_subject
 from mocap_calib.rig.triangulate import triangulate_rays
@@ -37,7 +37,7 @@ def adjust_once(
     Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
     too few to constrain it, and DegenerateError where there is no match at all.
     """
-    problem = choose_problem(sample, rig, matches, config, all_detections=not already_close)
+    problem = choose_problem(sample, rig, matches, config)
     found = solve(
         problem.start(),
         problem.rays,
@@ -183,7 +183,11 @@ class Fit:
 def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Fit:
     """Return how well the rig fits the matched detections in all frames of the sample."""
     noise, _ = measure_residuals(sample, rig, matches, config.triangulate)
-    seen, points, error = measure_distances(sample, rig, matches, noise, config)
+    seen = gather_tracks(sample, matches, labelled_frames(matches))
+    # what does not fit is to be counted, not left out
+    all_rays = replace(config.triangulate, outlier=np.inf)
+    points, _ = triangulate_rays(rig, seen.rays, weight=seen.weight, noise=noise, config=all_rays)
+    error = np.linalg.norm(project_views(rig, points) - seen.pixels, axis=1)
     counted = (seen.weight > 0) & np.isfinite(points[0])
     # rays of two views meet nearly, whatever they show
     several = counted & (counted.sum(0) >= min(3, len(rig)))
@@ -195,20 +199,6 @@ def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config
         noise=noise * focal,
         perspective=_perspective(rig, points, counted) * focal,
     )
-
-
-def measure_distances(
-    sample: Sample, rig: CameraRig, matches: Matches, noise: Floats, config: Config
-) -> tuple[Tracks, Floats, Floats]:
-    """Return what is matched, the points that it is of, and how far apart the two are.
-
-    noise: `[view]` in radians. Points `[3, N]`; distances `[view, N]` in pixels, NaN = not known.
-    """
-    seen = gather_tracks(sample, matches, labelled_frames(matches))
-    # what does not fit is to be counted, not left out
-    all_rays = replace(config.triangulate, outlier=np.inf)
-    points, _ = triangulate_rays(rig, seen.rays, weight=seen.weight, noise=noise, config=all_rays)
-    return seen, points, np.linalg.norm(project_views(rig, points) - seen.pixels, axis=1)
 
 
 def fit_equally_well(first: Fit, second: Fit, config: UncertaintyConfig) -> bool:
@@ -272,24 +262,11 @@ def _perspective(rig: CameraRig, points: Floats, counted: Bools) -> Floats:
 
     points: `[3, N]` in world coordinates; counted: `[view, N]`.
     """
-    in_camera = points_in_cameras(rig, points)
-    return np.array(
-        [
-            _beyond_affine(points[:, seen].T, in_view[:, seen].T)
-            for seen, in_view in zip(counted, in_camera, strict=True)
-        ]
-    )
-
-
-def _beyond_affine(points: Floats, in_camera: Floats) -> float:
-    """Return the RMS distance in radians of images from those of the best affine camera.
-
-    points, in_camera: `[N, 3]` the same points in world coordinates and in the camera's frame.
-    """
-    if not len(points):
-        return 0.0
-    image = in_camera[:, :2] / in_camera[:, 2:]
-    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
-    affine = np.linalg.lstsq(homogeneous, image, rcond=None)[0]
-    residual = image - homogeneous @ affine
-    return float(np.sqrt((residual**2).sum(1).mean()))
+    found = np.zeros(len(rig))
+    for view in np.flatnonzero(counted.any(1)):
+        x, y, z = points_in_cameras(rig, points)[view][:, counted[view]]
+        image = np.stack([x, y], axis=1) / z[:, None]
+        affine = np.stack([x, y, z, np.ones_like(z)], axis=1)
+        residual = image - affine @ np.linalg.lstsq(affine, image, rcond=None)[0]
+        found[view] = np.sqrt((residual**2).sum(1).mean())
+    return found
