@@ -16,9 +16,7 @@ from mocap_calib.config import PLAIN_FACTORS, DiagnosisConfig
 from mocap_calib.errors import count
 from mocap_calib.recording.corrections import (
     Cropped,
-    Exchanged,
     Mirrored,
-    Moved,
     Refocused,
     Resized,
     Rotated,
@@ -36,6 +34,24 @@ ADVICE: dict[FaultWord, str] = {
     "focal": "check its intrinsics, its zoom and the size of its images",
     "exchanged": "exchange the names of the two keypoint files, or of the two cameras",
     "moved": "use the rig of each part of the recording",
+}
+_SAYS: dict[FaultWord, str] = {
+    "mirrored": "images horizontally mirrored",
+    "sides": "left and right exchanged",
+    "rotated": "images turned clockwise by {0.degrees} deg against its intrinsics",
+    "resized": "images resized by {0.factor:.3g} against its intrinsics",
+    "cropped": "images cut off by {0.x:.0f} px at the left and {0.y:.0f} px at the top",
+    "focal": "focal length {0.focal:.0f} +- {0.sigma:.0f} px, other than its intrinsics say",
+}
+_OPTION: dict[FaultWord, str] = {
+    "mirrored": "--mirrored {0.camera}",
+    "sides": "--sides {0.camera}",
+    "rotated": "--rotated {0.camera}:{0.degrees}",
+    "resized": "--resized {0.camera}:{0.factor:.4g}",
+    "cropped": "--crop-offset {0.camera}:{0.x:.0f},{0.y:.0f}",
+    "focal": "--refine focal --focal-per-camera",  # all focal lengths are estimated then
+    "exchanged": "--exchanged {0.camera},{0.other}",
+    "moved": "--moved {0.camera}:{0.frame}",
 }
 _ADVICE_ON_CLOCKS = "number its frames by the clock of the others"
 
@@ -167,46 +183,17 @@ def _may_be_cropped(hypothesis: Hypothesis, fit: CameraFit, size: Floats) -> boo
 
 def describe(mend: Mend) -> str:
     """Return what is wrong with the files of a camera, for a person."""
-    says: str = mend.word
-    match mend:
-        case Mirrored(sides=sides):
-            says = "images horizontally mirrored"
-            says += ", left and right exchanged" if sides else ""
-        case Sides():
-            says = "left and right exchanged"
-        case Rotated(degrees=degrees):
-            says = f"images turned clockwise by {degrees} deg against its intrinsics"
-        case Resized(factor=factor):
-            says = f"images resized by {factor:.3g} against its intrinsics"
-        case Cropped(x=x, y=y):
-            says = f"images cut off by {x:.0f} px at the left and {y:.0f} px at the top"
-        case Refocused(focal=focal, sigma=sigma):
-            says = f"focal length {focal:.0f} +- {sigma:.0f} px, other than its intrinsics say"
-    return says
+    says = _SAYS[mend.word].format(mend)
+    return f"{says}, {_SAYS['sides']}" if isinstance(mend, Mirrored) and mend.sides else says
 
 
 def option_of(mend: Mend | CameraClock) -> str:
     """Return the command-line option that states a correction beforehand, "" if there is none."""
-    option = ""
-    match mend:
-        case Mirrored(camera, sides=sides):
-            option = f"--mirrored {camera}" if sides else f"--mirrored {camera} --sides {camera}"
-        case Sides(camera):
-            option = f"--sides {camera}"
-        case Rotated(camera, degrees):
-            option = f"--rotated {camera}:{degrees}"
-        case Resized(camera, factor):
-            option = f"--resized {camera}:{factor:.4g}"
-        case Cropped(camera, x, y):
-            option = f"--crop-offset {camera}:{x:.0f},{y:.0f}"
-        case Exchanged(camera, other):
-            option = f"--exchanged {camera},{other}"
-        case Refocused():  # all focal lengths are estimated then
-            option = "--refine focal --focal-per-camera"
-        case Moved(camera, frame):
-            option = f"--moved {camera}:{frame}"
-        case CameraClock(camera, "clock", offset):
-            option = f"--frame-offset {camera}:{-offset}"
+    if isinstance(mend, CameraClock):
+        return f"--frame-offset {mend.camera}:{-mend.offset}" if mend.kind == "clock" else ""
+    option = _OPTION[mend.word].format(mend)
+    if isinstance(mend, Mirrored) and not mend.sides:
+        option += f" --sides {mend.camera}"
     return option
 
 

@@ -20,7 +20,6 @@ from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.recording.corrections import Exchanged, Sides, apply_mends
 from mocap_calib.results import VERDICTS, CalibrationResult, Clocks, Fault, GroupResult, Mend
 from mocap_calib.rig import Observed
-from mocap_calib.rig.averaging import best_scores
 from mocap_calib.types import CameraClock, Recording
 from mocap_calib.verdict.checks import report_frames, residuals_of
 
@@ -175,29 +174,20 @@ def log_spread(observed: Observed, camera: str) -> float:
 def _explained_shares(recording: Recording, results: Sequence[Calibrated]) -> list[float]:
     """Return the share (0..1) of all detected keypoints that each of some results explains.
 
-    A keypoint counts 1 / (1 + (e / width)^2), e being its distance from its triangulated point, and
-    nothing where it is unmatched or its camera is left out. The width is the median distance of the
-    result with the smallest errors, in pixels of the cameras of the first: a loose one makes all
-    results look alike.
+    A keypoint counts 1 / (1 + (e / width)^2), e being its distance from its triangulated point in
+    focal lengths, and nothing where it is unmatched or its camera is left out. The width is the
+    median distance of the result with the smallest: a loose one makes all results look alike.
 
     recording: as it was handed in, with what lenses cannot undo before they are corrected.
     """
-    errors = [residuals_of(result.groups[0]).distance for _, result in results]
     focal = {camera.name: camera.focal for camera in results[0][0].recording.cameras}
-    own = [np.array([camera.focal for camera in each.groups[0].rig.cameras]) for _, each in results]
-    angle = min(
-        float(np.nanmedian(error / each[:, None, None, None]))
-        for error, each in zip(errors, own, strict=True)
-    )
-    detected = int(recording.select(frames=report_frames(recording)).seen.sum())
-    shares = []
-    for error, (_, result) in zip(errors, results, strict=True):
-        width = np.array(
-            [focal.get(each.name, each.focal) for each in result.groups[0].rig.cameras]
-        )
-        fit = 1 / (1 + (error / (angle * width[:, None, None, None])) ** 2)
-        shares.append(float(np.nansum(fit)) / max(detected, 1))
-    return shares
+    errors = []
+    for _, result in results:
+        own = [focal.get(each.name, each.focal) for each in result.groups[0].rig.cameras]
+        errors.append(residuals_of(result.groups[0]).distance.T / own)
+    width = min(float(np.nanmedian(error)) for error in errors)
+    detected = max(int(recording.select(frames=report_frames(recording)).seen.sum()), 1)
+    return [float(np.nansum(1 / (1 + (error / width) ** 2))) / detected for error in errors]
 
 
 def find_exchanged_cameras(group: GroupResult) -> list[Alternative]:
@@ -243,25 +233,15 @@ def add_clocks(result: CalibrationResult, clocks: Clocks) -> CalibrationResult:
     if clocks.changed:
         groups = tuple(_with_clocks(group, clocks) for group in groups)
     faults = clock_faults(clocks, applied=clocks.changed)
-    refuted = {name for group in groups for name in _refuted(group, result)}
-    faults = tuple(fault for fault in faults if not fault.mend or fault.camera not in refuted)
-    return replace(result, groups=groups, clocks=clocks, faults=(*faults, *result.faults))
-
-
-def _refuted(group: GroupResult, result: CalibrationResult) -> list[str]:
-    """Return the cameras of which another clock explains nothing.
-
-    The rig is not determined, and the bodies that they see then look like those of nobody.
-    """
-    if group.verdict != "not determined":
-        return []
-    best = best_scores(group.pairs, len(group.rig))
-    unlike = best < result.config.averaging.weak_score
-    return [
+    # what is found of a camera whose rig is not determined would rest on the others
+    known = {
         name.partition(EPOCH_MARK)[0]
-        for name, odd in zip(group.rig.names, unlike, strict=True)
-        if odd
-    ]
+        for group in groups
+        if group.verdict != VERDICTS[-1]
+        for name in group.rig.names
+    }
+    faults = tuple(fault for fault in faults if not fault.mend or fault.camera in known)
+    return replace(result, groups=groups, clocks=clocks, faults=(*faults, *result.faults))
 
 
 def _with_clocks(group: GroupResult, clocks: Clocks) -> GroupResult:
