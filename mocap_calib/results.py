@@ -23,13 +23,11 @@ from mocap_calib.types import (
     Reals,
     Record,
     Recording,
-    Views,
     World,
     check_factor,
     check_shape,
     check_unit,
     find_name,
-    find_views,
 )
 
 if TYPE_CHECKING:
@@ -116,16 +114,6 @@ class Clocks(Record):
         )
         source = np.where(self.source >= 0, source, -1)
         return replace(self, given=first.given, source=source, cameras=cameras)
-
-    def select(self, views: Views) -> "Clocks":
-        """Return the clocks of these views (indices, names or a mask) alone, in this order."""
-        index = find_views(tuple(each.camera for each in self.cameras), views)
-        return Clocks(
-            frames=self.frames,
-            given=self.given,
-            source=self.source[index],
-            cameras=tuple(self.cameras[view] for view in index),
-        )
 
 
 class Mend(Protocol):
