@@ -37,7 +37,6 @@ from mocap_calib.rig.triangulate import place_bodies
 from mocap_calib.types import Floats, Ints
 
 _ROUGH_KEYPOINTS = 300  # of a first fit
-_EXACT = ("mirrored", "sides", "rotated")  # faults without unknowns
 
 
 @dataclass(frozen=True)
@@ -68,22 +67,15 @@ class FittedHypothesis:
 def find_faulty_cameras(
     observed: Observed, result: CalibrationResult, held: list[Held], config: Config
 ) -> list[Alternative]:
-    """Return alternatives: one faulty camera each, or several at once.
+    """Return alternatives, of one faulty camera each. held: the views of the largest group.
 
-    Of two cameras neither can be named. Cameras that are wrong in the same way fit each other, and
-    to correct one alone may be worse: those without unknowns are an alternative together.
-    held: the views of the largest group.
+    Of two cameras neither can be named.
     """
     if result.groups[0].uncertainty.wrong_focal.all():  # no camera is left to compare with
         return []
     views = screen_cameras(observed, result, held, config)[: config.diagnosis.candidates]
     found = [_compare(observed, view, result, config) for view in views]
-    alternatives = [each for each in found if each is not None]
-    exact = [each for each in alternatives if each.faults[0].word in _EXACT]
-    if len(exact) > 1:
-        faults = tuple(fault for each in exact for fault in each.faults)
-        alternatives.append(Alternative(faults, min(each.evidence for each in exact)))
-    return alternatives
+    return [each for each in found if each is not None]
 
 
 def _compare(
