@@ -64,14 +64,6 @@ class CameraFit:
     error: Floats
 
 
-@dataclass(frozen=True)
-class LinearisedCamera:
-    """residual: `[2, N]` in pixels. jacobian: `[parameter, 2, N]` of turn, shift and unknowns."""
-
-    residual: Floats
-    jacobian: Floats
-
-
 def fit_camera(
     camera: Camera,
     seen: Seen,
@@ -94,12 +86,13 @@ def fit_camera(
             tolerance=AdjustConfig.tolerance,
             steps=config.steps,
         )
-    found = linearise_camera(camera, seen, unknowns, free)
+    residual, jacobian = linearise_camera(camera, seen, unknowns, free)
+    scale = config.loss_scales[-1] * noise
     return CameraFit(
         pose=unknowns.pose,
         unknowns=unknowns.others,
-        covariance=_covariance(found, seen, config.loss_scales[-1] * noise)[POSE:, POSE:],
-        error=np.minimum(np.sqrt((found.residual**2).sum(0)), _FAR),
+        covariance=_covariance(residual, jacobian, seen, scale)[POSE:, POSE:],
+        error=np.minimum(np.sqrt((residual**2).sum(0)), _FAR),
     )
 
 
@@ -121,15 +114,15 @@ def _system(
     unknowns: Unknowns, *, camera: Camera, seen: Seen, free: tuple[Unknown, ...], scale: float
 ) -> System[Unknowns]:
     """Return the equations about some unknowns, under the loss of a scale."""
-    now = linearise_camera(camera, seen, unknowns, free)
-    cost, weight = cauchy_loss(now.residual, scale)
-    weighted = now.jacobian * weight
-    matrix = np.einsum("pcn,qcn->pq", weighted, now.jacobian)
+    residual, jacobian = linearise_camera(camera, seen, unknowns, free)
+    cost, weight = cauchy_loss(residual, scale)
+    weighted = jacobian * weight
+    matrix = np.einsum("pcn,qcn->pq", weighted, jacobian)
     return System(
         unknowns=unknowns,
         cost=cost,
         matrix=matrix,
-        gradient=np.einsum("pcn,cn->p", weighted, now.residual),
+        gradient=np.einsum("pcn,cn->p", weighted, residual),
         stiffness=np.diag(matrix),
     )
 
@@ -140,19 +133,21 @@ def cauchy_loss(residual: Floats, scale: float) -> tuple[float, Floats]:
     return float(np.log1p(square).sum() * scale**2), 1 / (1 + square)
 
 
-def _covariance(now: LinearisedCamera, seen: Seen, scale: float) -> Floats:
+def _covariance(residual: Floats, jacobian: Floats, seen: Seen, scale: float) -> Floats:
     """Return the sandwich covariance `[parameter, parameter]`."""
-    weighted = now.jacobian * cauchy_loss(now.residual, scale)[1]
-    bread = np.linalg.pinv(np.einsum("pcn,qcn->pq", weighted, now.jacobian))
-    scores = np.einsum("pcn,cn->pn", weighted, now.residual)
+    weighted = jacobian * cauchy_loss(residual, scale)[1]
+    bread = np.linalg.pinv(np.einsum("pcn,qcn->pq", weighted, jacobian))
+    scores = np.einsum("pcn,cn->pn", weighted, residual)
     filling = scatter_of(scores, seen.block) + scatter_of(scores, seen.keypoint)
     return np.asarray(bread @ filling @ bread)
 
 
 def linearise_camera(
     camera: Camera, seen: Seen, now: Unknowns, free: tuple[Unknown, ...]
-) -> LinearisedCamera:
-    """Return residuals and how they move with a turn and a shift of the camera and the unknowns.
+) -> tuple[Floats, Floats]:
+    """Return residuals `[2, N]` in pixels and their slopes `[parameter, 2, N]`.
+
+    By a turn and a shift of the camera and the unknowns.
 
     What is behind the camera has a large residual and no slope.
     """
@@ -183,4 +178,4 @@ def linearise_camera(
     # a turn w of the camera's axes moves R X by w x R X
     by_turn = np.cross(turned[:, None], by_shift, axis=0)
     jacobian = np.concatenate([by_turn, by_shift, *(by_unknown[name][None] for name in free)])
-    return LinearisedCamera(np.where(good, residual, _FAR), np.where(good, jacobian, 0.0))
+    return np.where(good, residual, _FAR), np.where(good, jacobian, 0.0)

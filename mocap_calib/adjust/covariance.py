@@ -143,15 +143,14 @@ def scatter_of(scores: Floats, cluster: Ints) -> Floats:
 
 def _inverse_at_size(matrix: Floats, state: State, parameters: Parameters) -> Floats:
     """Return the inverse of a reduced camera system `[free, free]`, the size of the rig held."""
-    size = size_direction(state, parameters)
-    directions = np.linalg.svd(size[None])[2][1:].T  # all that leave the size as it is
     stiffness = np.diag(matrix)
     scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max()))  # rounding may go below
-    directions, _ = np.linalg.qr(directions / scale[:, None])
-    scaled = directions.T @ (scale[:, None] * matrix * scale) @ directions
-    values, vectors = np.linalg.eigh(scaled)
-    vectors = directions @ vectors
+    size = scale * size_direction(state, parameters)
+    size /= np.linalg.norm(size)
+    held = np.eye(len(size)) - np.outer(size, size)  # of all that leaves the size as it is
+    values, vectors = np.linalg.eigh(held @ (scale[:, None] * matrix * scale) @ held)
     # what nothing determines is as uncertain as numbers allow, not certain
+    vectors = held @ vectors
     inverse = (vectors / np.maximum(values, 1e-13 * values.max())) @ vectors.T
     return scale[:, None] * inverse * scale
 

@@ -142,10 +142,10 @@ def _best_fit(sample: Sample, adjusted: list[Adjusted], config: Config) -> Adjus
     misfit = np.nan_to_num([fit.misfit for fit in fits], nan=np.inf)
     ranked = np.argsort(misfit, kind="stable").tolist()
     best = int(np.argmax(misfit <= config.uncertainty.tied_misfit * misfit.min()))
-    for k in ranked:
+    for k in ranked:  # as well: what was seen does not tell which of the two is right
         turn_deg = _largest_turn_deg(adjusted[k].rig, adjusted[best].rig)
-        another_rig = turn_deg > VERDICT_LIMITS_DEG[-1]
-        if another_rig and fit_equally_well(fits[k], fits[best], config.uncertainty):
+        as_well = fits[k].misfit <= config.uncertainty.same_misfit * fits[best].misfit
+        if as_well and turn_deg > VERDICT_LIMITS_DEG[-1]:
             return replace(adjusted[best], depth_reversed_rig=adjusted[k].rig)
     return adjusted[best]
 
@@ -199,12 +199,6 @@ def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config
         noise=noise * focal,
         perspective=_perspective(rig, points, counted) * focal,
     )
-
-
-def fit_equally_well(first: Fit, second: Fit, config: UncertaintyConfig) -> bool:
-    """Return whether what was seen does not tell which of two rigs is right."""
-    better, worse = sorted((first.misfit, second.misfit))
-    return worse <= config.same_misfit * better
 
 
 def find_outlier_cameras(fit: Fit, config: UncertaintyConfig) -> Bools:

@@ -8,7 +8,7 @@ Residuals against rays are taken in the plane that touches the unit sphere at th
 first order in pixels: any lens will do, without its derivatives.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -43,10 +43,6 @@ class State:
     translation: Floats
     points: Floats
     intrinsics: Floats
-
-    def with_points(self, points: Floats) -> "State":
-        """Return the state with other points `[3, N]`."""
-        return replace(self, points=points)
 
 
 @dataclass(frozen=True)

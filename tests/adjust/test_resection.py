@@ -187,9 +187,9 @@ def test_slopes_of_what_a_camera_sees_are_those_of_differences():
         pose = np.column_stack([turn @ ROTATION, TRANSLATION + change[3:6]])
         return camera_fit.linearise_camera(
             CAMERA, seen, camera_fit.Unknowns(pose, at + change[6:]), free
-        ).residual
+        )[0]
 
-    found = camera_fit.linearise_camera(CAMERA, seen, camera_fit.Unknowns(POSE, at), free).jacobian
+    found = camera_fit.linearise_camera(CAMERA, seen, camera_fit.Unknowns(POSE, at), free)[1]
     for slope, change in zip(found, step * np.eye(10), strict=True):
         expected = (residual(change) - residual(-change)) / (2 * step)
         np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-3)

@@ -114,7 +114,7 @@ def test_residuals_against_rays_are_those_of_pixels_to_first_order():
     """Of points 1 % off; measured 0.7 % of the largest."""
     state, seen = problem_with_intrinsics("brown")[:2]
     state = replace(state, intrinsics=np.zeros((3, 0)))
-    off = state.with_points(state.points * 1.01)
+    off = replace(state, points=state.points * 1.01)
     pixels = seen_pixels(seen.cameras, state)
     rays = lens.unproject_views(seen.cameras, np.moveaxis(pixels, 1, 2), by_component=True)
     focal = np.array([camera.focal for camera in seen.cameras])
