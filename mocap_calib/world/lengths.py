@@ -103,7 +103,10 @@ def find_scale(cues: Sequence[ScaleCue], on: Measurable, config: WorldConfig) ->
     known = np.array([cue.metres for cue in cues])
     sigma = np.hypot(sigmas, [cue.sigma / cue.metres for cue in cues])
     logs = np.log(known / lengths)
-    mean, residual = _combine(logs, sigma)
+    weight = 1 / sigma**2
+    mean = float(weight @ logs / weight.sum())
+    left = np.maximum(sigma**2 - 1 / weight.sum(), 0.0)  # the mean follows each of them in part
+    residual = (mean - logs) / np.sqrt(left) if len(cues) > 1 else np.array([np.nan])
     factor = float(np.exp(mean))
     measured = tuple(
         MeasuredCue(describe_cue(cue), cue.metres, float(factor * length), float(own), float(off))
@@ -119,15 +122,7 @@ def find_scale(cues: Sequence[ScaleCue], on: Measurable, config: WorldConfig) ->
             f"scale: expected lengths that agree with each other, found {listed}; "
             "correct or leave out one of them"
         )
-    return Scale(factor, float(np.sqrt(1 / (1 / sigma**2).sum())), measured)
-
-
-def _combine(logs: Floats, sigma: Floats) -> tuple[float, Floats]:
-    """Return the mean of `[cue]` logarithms, and how many sigma each is from it, NaN if alone."""
-    weight = 1 / sigma**2
-    mean = float(weight @ logs / weight.sum())
-    left = np.maximum(sigma**2 - 1 / weight.sum(), 0.0)  # the mean follows each of them in part
-    return mean, (mean - logs) / np.sqrt(left) if len(logs) > 1 else np.array([np.nan])
+    return Scale(factor, float(np.sqrt(1 / weight.sum())), measured)
 
 
 def _measure(cue: ScaleCue, on: Measurable, config: WorldConfig) -> tuple[float, float]:
@@ -158,12 +153,10 @@ def statures(on: Measurable, config: WorldConfig) -> Floats:
     sole = ankle - floor.ankle_height * lengths_of_legs(positions, on.joints)
     stands = stand_straight(positions, on.joints, floor.straight)
     stands &= np.abs(sole) < floor.near * body_size(positions)
-    found = np.full((len(heads), positions.shape[1]), np.nan)
-    for k, (column, share) in enumerate(heads):
-        above = height[:, :, column]
-        own = np.where(stands & (above > 0), above / share, np.nan)
-        found[k] = quantile_over_frames(own, 0.5)
-    return quantile_over_frames(found, 0.5)
+    columns, shares = zip(*heads, strict=True)
+    tall = height[:, :, list(columns)] / np.array(shares)
+    tall = np.where(stands[..., None] & (tall > 0), tall, np.nan)
+    return quantile_over_frames(quantile_over_frames(tall, 0.5).T, 0.5)
 
 
 def _measure_height(cue: ScaleCue, on: Measurable, config: WorldConfig) -> tuple[float, float]:
@@ -171,29 +164,22 @@ def _measure_height(cue: ScaleCue, on: Measurable, config: WorldConfig) -> tuple
     found = statures(on, config)
     if cue.of:
         found = found[[find_individual(cue.of, len(found), on.individuals)]]
-    found = found[np.isfinite(found)]
-    if not len(found):
-        who = f"individual {cue.of}" if cue.of else "someone"
-        raise MismatchError(
-            f"--height: expected {who} on a straight leg, found no one; {_OTHER_CUES}"
-        )
-    middle = float(np.median(found))
+    who = f"individual {cue.of}" if cue.of else "someone"
+    refusal = f"--height: expected {who} on a straight leg, found no one; {_OTHER_CUES}"
+    middle, sigma = _median_of(found, config.measure.height_sigma, refusal)
     low = on.floor.sigma / middle if isinstance(on.floor, Floor) else 0.0
-    return middle, float(np.hypot(np.hypot(config.measure.height_sigma, low), _spread(found)))
+    return middle, float(np.hypot(sigma, low))
 
 
 def _measure_length(cue: ScaleCue, on: Measurable, config: CueConfig) -> tuple[float, float]:
     """Return the median distance of two joints, of the median individual."""
     pair = joint_pair(cue.of, on.poses.keypoints, on.joints, "--length")
-    lengths = distance(on.poses.positions, *pair)
-    middles = quantile_over_frames(lengths, 0.5)
-    middles = middles[np.isfinite(middles)]
-    if not len(middles):
-        raise MismatchError(
-            f"--length {cue.of}: expected both joints of a subject in one frame, found them in "
-            "none; use another pair"
-        )
-    return float(np.median(middles)), float(np.hypot(2 * config.height_sigma, _spread(middles)))
+    middles = quantile_over_frames(distance(on.poses.positions, *pair), 0.5)
+    refusal = (
+        f"--length {cue.of}: expected both joints of a subject in one frame, found them in none; "
+        "use another pair"
+    )
+    return _median_of(middles, 2 * config.height_sigma, refusal)
 
 
 def _measure_cameras(cue: ScaleCue, on: Measurable) -> tuple[float, float]:
@@ -212,9 +198,18 @@ def _measure_cameras(cue: ScaleCue, on: Measurable) -> tuple[float, float]:
     return length, float(np.hypot(np.sqrt(max(variance, 0.0)) / length, 1e-3))
 
 
-def _spread(values: Floats) -> float:
-    """Return the relative standard deviation of individuals: the cue may be of any of them."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))) / np.median(values))
+def _median_of(values: Floats, sigma: float, refusal: str) -> tuple[float, float]:
+    """Return the median over the individuals, and its relative standard deviation.
+
+    It has their spread, as the cue may be of any of them. values: `[individual]`, NaN = not known.
+    sigma: relative, of each. Raises MismatchError, which says the refusal, where none is known.
+    """
+    values = values[np.isfinite(values)]
+    if not len(values):
+        raise MismatchError(refusal)
+    middle = float(np.median(values))
+    spread = 1.4826 * np.median(np.abs(values - middle)) / middle
+    return middle, float(np.hypot(sigma, spread))
 
 
 def check_unit(positions: Floats, joints: Joints, option: str, config: CueConfig) -> list[str]:
@@ -225,11 +220,11 @@ def check_unit(positions: Floats, joints: Joints, option: str, config: CueConfig
     Raises MismatchError where people are too tall.
     """
     ankles = joints.feet if joints.kind == "people" else []
-    heads = [(name, share) for name, share in config.head_height if name in joints.columns]
     tall = [
         distance(positions, joints.columns[name], ankle) / share
-        for name, share in heads
+        for name, share in config.head_height
         for ankle in ankles
+        if name in joints.columns
     ]
     known = np.array(tall)[np.isfinite(tall)]
     if not len(known):
@@ -336,17 +331,14 @@ def joint_pair(
 
     Raises MismatchError.
     """
-    known = {normalise_name(name): k for name, k in joints.columns.items()}
-    known |= {normalise_name(name): k for k, name in enumerate(keypoints)}
-    known |= {name: k for k, name in enumerate(keypoints)}
+    known = joints.columns | {name: k for k, name in enumerate(keypoints)}
     return _find_pair(text, known, "joints", keypoints, option)
 
 
 def camera_pair(text: str, views: Sequence[str], option: str) -> tuple[int, int]:
     """Return the indices of the views of two cameras of `A-B`. Raises MismatchError."""
     known = {name: own[0] for name, own in views_by_camera(views).items()}
-    spelt = {normalise_name(name): view for name, view in known.items()} | known
-    return _find_pair(text, spelt, "cameras", tuple(known), option)
+    return _find_pair(text, known, "cameras", tuple(known), option)
 
 
 def _find_pair(
@@ -356,6 +348,7 @@ def _find_pair(
 
     Raises MismatchError.
     """
+    known = {normalise_name(name): k for name, k in known.items()} | dict(known)
     names = [name if name in known else normalise_name(name) for name in text.split("-")]
     each = permutations(known.items(), 2)
     pairs = {f"{a}-{b}": (first, second) for (a, first), (b, second) in each if first != second}

@@ -26,7 +26,6 @@ from mocap_calib.world.floor import (
 )
 from mocap_calib.world.lengths import (
     Measurable,
-    Scale,
     camera_pair,
     check_cues,
     check_unit,
@@ -135,7 +134,11 @@ def find_placement(on: Measurable, config: WorldConfig) -> Placement:
         placement = _find_axes(on, plain)
         unmet = replace(placement.world, axes_unmet=str(error))
         placement = replace(placement, world=unmet)
-    placement = _with_floor(_with_scale(placement, scale), on)
+    if scale is not None:
+        by = placement.by  # whose lengths may differ from those that were measured
+        by = Similarity(scale.factor, by.rotation, scale.factor / by.scale * by.shift)
+        placement = Placement(by, "m", scaled_world(placement.world, scale))
+    placement = _with_floor(placement, on)
     return replace(placement, world=replace(placement.world, scale_unmet=scale_unmet))
 
 
@@ -225,15 +228,6 @@ def _look_through_camera(on: Measurable, config: WorldConfig) -> Placement:
     rotation, translation = on.rig.rotation[views[name]], on.rig.translation[views[name]]
     world = World(kind="camera", camera=name, remarks=(f"the axes are those of camera {name}",))
     return Placement(Similarity(1.0, rotation, translation), on.poses.unit, world)
-
-
-def _with_scale(placement: Placement, scale: Scale | None) -> Placement:
-    """Return the placement with lengths in metres where there is a scale."""
-    if scale is None:
-        return placement
-    by = placement.by  # whose lengths may differ from those that were measured
-    moved = Similarity(scale.factor, by.rotation, scale.factor / by.scale * by.shift)
-    return Placement(moved, "m", scaled_world(placement.world, scale))
 
 
 def _with_floor(placement: Placement, on: Measurable) -> Placement:
