@@ -46,15 +46,13 @@ Track = tuple[Floats, Detections, Body]  # points `[keypoint, frame, 3]` to star
 class _Individual:
     """What is known of one individual.
 
-    index: of its label. frames: `[frame]` indices of those in which it is estimated.
-    lengths, varies: `[edge]` of its bones and what joins their ends, and by how much they vary.
+    index: of its label. frames: `[frame]` indices of those in which it is estimated. body: without
+    steps, which are those of the frames that are fitted.
     """
 
     index: int
     frames: Ints
-    size: float
-    lengths: Floats
-    varies: Floats
+    body: Body
 
 
 @dataclass(frozen=True)
@@ -106,8 +104,9 @@ class _Scene:
         variances = mapped.take(self.poses.covariance[:, index], measured)[..., (0, 3, 5)]
         sigma = np.sqrt(variances.sum(-1, dtype=np.float64))
         lengths, varies = bone_lengths(points, sigma, self.edges)
-        frames = with_gaps(there, self.times, self.config.longest_gap)
-        return _Individual(index, frames, size, lengths, varies)
+        gap = time_around(np.asarray(seen)[None], self.times).sum(0)[0]  # infinite at both ends
+        frames = np.flatnonzero(gap <= self.config.longest_gap + 1)
+        return _Individual(index, frames, Body(self.edges, lengths, varies, size, np.zeros((3, 0))))
 
     def track(self, who: _Individual, frames: Ints) -> Track:
         """Return what is known of an individual in frames (indices), from triangulated points."""
@@ -118,15 +117,10 @@ class _Scene:
             self.rig, seen, self.noise, keypoints=len(self.recording.keypoints)
         )
         times = self.times[frames]
-        body = Body(
-            edges=self.edges,
-            lengths=who.lengths,
-            varies=who.varies,
-            size=who.size,
-            steps=acceleration_steps(times, self.config.longest_gap + 1),
-        )
+        steps = acceleration_steps(times, self.config.longest_gap + 1)
         points = fill_gaps(self.poses.raw[frames, who.index], times)
-        return np.ascontiguousarray(points.swapaxes(0, 1)), detections, body
+        points = np.ascontiguousarray(points.swapaxes(0, 1))
+        return points, detections, replace(who.body, steps=steps)
 
 
 @single_threaded_libraries()
@@ -235,7 +229,7 @@ def _estimate(
     moves = np.isfinite(strengths.acceleration)
     source = point_sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)
     sigma = np.sqrt(covariance[..., (0, 3, 5)].sum(-1))
-    source = np.where(sigma <= config.largest_sigma * who.size, source, 0)
+    source = np.where(sigma <= config.largest_sigma * body.size, source, 0)
     missing = (source == 0)[..., None]
     found = {
         "positions": np.where(missing, np.nan, points).swapaxes(0, 1),
@@ -283,14 +277,6 @@ def time_around(there: Bools, times: Floats) -> Floats:
     last = np.maximum.accumulate(np.where(there, times, -np.inf), axis=1)
     following = np.minimum.accumulate(np.where(there, times, np.inf)[:, ::-1], axis=1)[:, ::-1]
     return np.stack([times - last, following - times])
-
-
-def with_gaps(there: Ints, times: Floats, longest: int) -> Ints:
-    """Return indices of frames, with those of gaps between them that are no longer than this."""
-    frames = np.arange(there[0], there[-1] + 1)
-    last = there[np.searchsorted(there, frames, side="right") - 1]
-    following = there[np.searchsorted(there, frames)]
-    return frames[times[following] - times[last] <= longest + 1]
 
 
 def point_sources(seen: Detections, met: Bools, times: Floats, longest: int) -> Ints:
