@@ -7,6 +7,7 @@ counts.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -73,13 +74,10 @@ def define(
 def _define_feet(feet: Mapping[str, Any], known: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
     """Return the feet; of several groups of joints the first of which the recording has any."""
     found = {}
-    for name, groups in feet.items():
-        for side in SIDES:
-            own = [
-                [known[side + each] for each in group if side + each in known] for group in groups
-            ]
-            if any(own):
-                found[side + name] = tuple(next(filter(None, own)))
+    for (name, groups), side in product(feet.items(), SIDES):
+        own = ([known[side + each] for each in group if side + each in known] for group in groups)
+        if first := next(filter(None, own), None):
+            found[side + name] = tuple(first)
     return found
 
 

@@ -212,8 +212,7 @@ def _describe_individuals(group: GroupResult) -> list[dict[str, Any]]:
     views = views_by_camera(group.rig.names)
     for individual in range(group.matches.individuals):
         found = (group.matches.labels == individual).any(2)  # [view, frame]
-        frames = found.sum(1).tolist()
-        counts = {name: sum(frames[view] for view in own) for name, own in views.items()}
+        counts = {name: int(found[own].sum()) for name, own in views.items()}
         in_cameras = {name: count for name, count in counts.items() if count}
         described.append(
             {"individual": individual, "frames": int(found.any(0).sum()), "cameras": in_cameras}

@@ -289,21 +289,16 @@ def choose_model(recording: Recording, model: str | Path | Lifter) -> tuple[Reco
     Raises FormatError, and MismatchError where a lifter has too few joints for the vocabulary.
     """
     if isinstance(model, Lifter):
-        _check_joints(recording, model)
+        needed = int(recording.vocabulary.max(initial=-1)) + 1
+        if model.config.joints < needed:
+            raise MismatchError(
+                f"expected a network of the {needed} joints or more that the recording has in the "
+                f"vocabulary of {recording.model}, found one of {model.config.joints}; "
+                "give the model by its name or file"
+            )
         return recording, model
     name = recording.model if model == AUTO else str(model)
     if name != recording.model:
         vocabulary = match_names(recording.keypoints, load_vocabulary(name))
         recording = replace(recording, vocabulary=vocabulary, model=name)
     return recording, load_model(name)
-
-
-def _check_joints(recording: Recording, lifter: Lifter) -> None:
-    """Raise MismatchError where a lifter has too few joints for a recording's vocabulary."""
-    needed = int(recording.vocabulary.max(initial=-1)) + 1
-    if lifter.config.joints < needed:
-        raise MismatchError(
-            f"expected a network of the {needed} joints or more that the recording has in the "
-            f"vocabulary of {recording.model}, found one of {lifter.config.joints}; "
-            "give the model by its name or file"
-        )

@@ -116,11 +116,9 @@ def _pair_error(rig: CameraRig, reference: CameraRig, a: str, b: str) -> tuple[f
     """
     if not {a, b} <= set(rig.names):
         return np.pi, np.pi
-    rotation, translation = rig.select((a, b)).relative(0, 1)
-    true_rotation, true_translation = reference.select((a, b)).relative(0, 1)
-    rotation_error = angle_between(rotation, true_rotation)
-    translation_error = direction_angle(translation, true_translation)
-    return float(rotation_error), float(translation_error)
+    turn, way = rig.select((a, b)).relative(0, 1)
+    true_turn, true_way = reference.select((a, b)).relative(0, 1)
+    return float(angle_between(turn, true_turn)), float(direction_angle(way, true_way))
 
 
 def accuracy(error: Floats, degrees: float) -> float:

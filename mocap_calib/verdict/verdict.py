@@ -400,13 +400,10 @@ def _all_change_alike(change: Floats, sigma: Floats, config: Config) -> Bools:
     The mean of the changes weighed by their certainty is that of one focal length that the cameras
     share, and nearly as certain.
     """
-    none = np.zeros(len(change), dtype=bool)
-    if len(change) < 3 or not np.isfinite(change).all():
-        return none
     weight, systematic = 1 / sigma**2, config.uncertainty.focal_systematic
-    mean = float((change * weight).sum() / weight.sum())
+    mean = float((change * weight).sum() / weight.sum())  # NaN where a change is not known
     uncertain = float(np.hypot(np.sqrt(1 / weight.sum()), systematic / 2))
     apart = np.abs(change - mean) > 2 * np.hypot(sigma, systematic)
-    if apart.any() or abs(mean) < config.triangulate.outlier * uncertain:
-        return none
-    return np.asarray(np.sign(mean) * change > sigma)
+    certain = abs(mean) >= config.triangulate.outlier * uncertain
+    alike = len(change) >= 3 and certain and not apart.any()
+    return np.asarray(alike & (np.sign(mean) * change > sigma))
