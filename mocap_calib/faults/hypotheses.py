@@ -89,7 +89,11 @@ def list_hypotheses(recording: Recording, view: int) -> tuple[Hypothesis, ...]:
     if alone.cameras[0].size != (0, 0):
         mends += [(f"rotated {degrees}", Rotated(name, degrees)) for degrees in (90, 180, 270)]
     given = Hypothesis("given", alone.cameras[0], alone.positions[0].astype(np.float64))
-    found = [given, *(_corrected(alone, word, mend) for word, mend in mends)]
+    found = [given]
+    for word, mend in mends:
+        fixed = mend.apply(alone)
+        pixels = fixed.positions[0].astype(np.float64)
+        found.append(Hypothesis(word, fixed.cameras[0], pixels, mend=mend))
     if not isinstance(alone.cameras[0], EstimatedCamera):
         found += [
             replace(given, name="resized", free=("log_scale",)),
@@ -97,17 +101,6 @@ def list_hypotheses(recording: Recording, view: int) -> tuple[Hypothesis, ...]:
             replace(given, name="focal", free=("log_focal",)),
         ]
     return tuple(found)
-
-
-def _corrected(alone: Recording, name: str, mend: Mend) -> Hypothesis:
-    """Return the hypothesis that a correction without unknowns is right."""
-    corrected = mend.apply(alone)
-    return Hypothesis(
-        name=name,
-        camera=corrected.cameras[0],
-        pixels=corrected.positions[0].astype(np.float64),
-        mend=mend,
-    )
 
 
 def mend_of(hypothesis: Hypothesis, fit: CameraFit) -> Mend | None:
