@@ -26,7 +26,6 @@ from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
 from mocap_calib.kernels.association import compare_bodies
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.rig import Tracks
 from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.types import Bools, Floats, Ints, Sample
 
@@ -92,23 +91,6 @@ def sightings_of(rays: Floats, bodies: Floats) -> Sightings:
     every = Sightings(frame, instance, image[frame, instance], bodies)
     common = every.joints_in_common().sum(-1).max(-1, initial=0)
     return every.select(np.flatnonzero(common >= LEAST_JOINTS))
-
-
-def sightings_beside(
-    sample: Sample,
-    placed: PlacedCameras,
-    view: int,
-    frames: Ints,
-    config: Config,
-    *,
-    seen: Tracks | None = None,
-) -> Sightings:
-    """Return what a view saw of the bodies that the others place.
-
-    seen: the tracks of the frames, where they are gathered already.
-    """
-    bodies = place_bodies(sample, placed, frames, config, seen=seen, without=view)
-    return sightings_of(sample.rays[view][frames], bodies)
 
 
 @dataclass(frozen=True)
@@ -286,7 +268,8 @@ def find_lost_camera(
     """
     diagnosis, camera = config.diagnosis, sample.cameras[view]
     frames = choose_frames(sample, config.moved.detections, config)
-    seen = sightings_beside(sample, placed, view, frames, config)
+    bodies = place_bodies(sample, placed, frames, config, without=view)
+    seen = sightings_of(sample.rays[view][frames], bodies)
     found = resect(seen, diagnosis.resection, seed=0)
     if found is None or (found.individual >= 0).mean() < diagnosis.least_matched:
         return None

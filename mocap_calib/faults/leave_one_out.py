@@ -11,7 +11,7 @@ import numpy as np
 from mocap_calib.adjust.camera_fit import Unknown, fit_camera, pose_of
 from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.refine import adjust_until_stable
-from mocap_calib.adjust.resection import Sightings, exchanged_share, match, sightings_beside
+from mocap_calib.adjust.resection import Sightings, exchanged_share, match, sightings_of
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
@@ -22,7 +22,7 @@ from mocap_calib.results import CalibrationResult, GroupResult
 from mocap_calib.rig import Observed, gather_tracks, leave_out_underconstrained
 from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import average
-from mocap_calib.rig.triangulate import PlacedCameras, choose_frames
+from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.rig.view_graph import camera_groups, takes_all_pairs
 from mocap_calib.types import Camera, CameraRig, Floats, Sample, silent
 
@@ -59,7 +59,8 @@ def hold_each(observed: Observed, group: GroupResult, config: Config) -> list[He
 
     def hold(view: int) -> Held:
         """Return one view."""
-        seen = sightings_beside(observed.sample, placed, view, frames, config, seen=tracks)
+        bodies = place_bodies(observed.sample, placed, frames, config, seen=tracks, without=view)
+        seen = sightings_of(observed.sample.rays[view][frames], bodies)
         return Held(
             camera=group.rig.cameras[view],
             pose=pose_of(group.rig, view),
