@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from platforms import posix
 
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
 from mocap_calib.io.poses.axes import UP_AXES, turn_up_axis
@@ -521,22 +520,6 @@ def test_an_h5_of_something_else_is_refused(tmp_path):
         file["tracks"] = np.zeros((3, 2))
     with pytest.raises(FormatError, match="one of"):
         load_poses(tmp_path / "x.h5")
-
-
-@pytest.mark.slow
-@posix
-def test_a_heap_that_hdf5_reads_for_ever_is_refused():
-    """The free rest of a heap of texts says it is of size 0 (found by fuzzing; HDF5 does not come
-    back).
-    """
-    files = format_poses(example(1), "sleap-anipose", Path("x")).files
-    content = bytearray(files["x"])
-    at = content.index(b"GCOL") + 16
-    while content[at : at + 2] != b"\x00\x00":
-        at += 16 + (int.from_bytes(content[at + 8 : at + 16], "little") + 7) // 8 * 8
-    content[at + 8 : at + 16] = bytes(8)
-    with pytest.raises(FormatError, match="SIGXCPU"):
-        parse_poses(bytes(content), "x", "sleap-anipose")
 
 
 def test_covariances_go_with_the_unit_the_axes_and_the_individual(tmp_path):
