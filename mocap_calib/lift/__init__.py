@@ -31,7 +31,7 @@ from mocap_calib.types import Bools, Floats, Floats32, Ints, Keypoints2D, Progre
 
 # detections at a time, and those of a view that determine which way is down in its images
 _BLOCK = 128
-_PARTS = 5  # of a sample: most directions have lost after three
+_PARTS = 4  # of a sample: most directions have lost after one
 # The directions in a view's image that may be down: as the camera says, or turned by quarters.
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
@@ -124,12 +124,13 @@ def _lift_views(rays: Floats, view: Ints, lifter: Lifter, progress: Progress) ->
 def _doubt(rays: Floats, down: Floats, *, least: float, lifter: Lifter) -> float:
     """Return the median standard deviation of rays `[B, J, 3]` under a direction of down.
 
-    Infinite as soon as more than half of the joints have `least` or more.
+    Infinite as soon as three of four joints have `least` or more.
     """
     spread = np.zeros(rays.shape[:2])
-    for part in np.array_split(np.arange(len(rays)), _PARTS):
+    for start in range(0, len(rays), _BLOCK // _PARTS):
+        part = slice(start, start + _BLOCK // _PARTS)
         spread[part] = _lift_rays(rays[part], down, lifter).spread
-        if 2 * np.count_nonzero(spread >= least) > spread.size:
+        if np.mean(spread[: part.stop] >= least) > 0.75:
             return np.inf
     return float(np.median(spread))
 
