@@ -195,7 +195,7 @@ def _measure_pose_ratio(
     alone.
     """
     views, frames, instances = sample.positions.shape[:3]
-    count = max(1, _PAIRS // (views * instances) ** 2)
+    count = max(1, _PAIRS // (2 * views * instances) ** 2)
     block = evenly_spaced(np.arange(frames), count)
     one, two = _certain_pairs(*_geometric_affinity(sample, lifted, rig, block, config), views=views)
     features = _pose_features(lifted, rig, block)
