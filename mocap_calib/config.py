@@ -193,7 +193,7 @@ class AdjustConfig:
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
     # Share of the cost: a step of the cameras that promises to lower it by less is the last one at
     # the last loss scale ...
-    tolerance: float = 1e-6
+    tolerance: float = 1e-5
     rough_tolerance: float = 1e-3  # ... and at those before, which need not be minimised to the end
     # This share of each view's detections, the least confident, is left out of the adjustment, as
     # long as `enough_detections` of the view are left.
