@@ -290,10 +290,15 @@ def verdict_of_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
     """
     verdict = report["verdict"]
     sigma = verdict["rotation_sigma_deg"]
+    faults = [
+        f"{camera['name']}: {fault['says']}" + ("; mended for this run" if fault["mended"] else "")
+        for camera in report["cameras"]
+        for fault in camera["fault_evidence"].values()
+    ]
     remarks = [
         f"camera rotations (1 SD): {sigma['median']:.2f} deg, worst {sigma['max']:.2f}",
         *verdict["reasons"],
-        *_describe_faults(report),
+        *faults,
     ]
     if report["left_out"]:
         remarks.append(f"cameras left out: {', '.join(report['left_out'])}")
@@ -305,15 +310,6 @@ def verdict_of_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
         for key in CAMERA_SIGMAS
     }
     return judgement(verdict["rig"], remarks, error, **sigmas)
-
-
-def _describe_faults(report: Mapping[str, Any]) -> list[str]:
-    """Return a line for each fault that was found, and whether it was corrected."""
-    return [
-        f"{camera['name']}: {fault['says']}" + ("; mended for this run" if fault["mended"] else "")
-        for camera in report["cameras"]
-        for fault in camera["fault_evidence"].values()
-    ]
 
 
 def _least_sure_pair(group: GroupResult) -> dict[str, Any]:

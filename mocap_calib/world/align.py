@@ -43,37 +43,18 @@ class _Stated:
     turned: Floats | None = None
     turn_sigma: Floats | float = 0.0
 
-    def fit(self, config: WorldConfig) -> "_Fit":
-        """Return the best similarity."""
-        by = align_by_similarity(self.found.reshape(-1, 3), self.known.reshape(-1, 3))
-        distance = np.linalg.norm(by.apply(self.found[:, 0]) - self.known[:, 0], axis=1)
-        extent = _extent(self.known[:, 0])
-        offs = [distance / np.hypot(config.stated_sigma * extent, by.scale * self.sigma)]
-        turn = np.zeros(len(distance))
-        if self.turned is not None:
-            turn = angle_between(self.turned, by.rotation)
-            offs.append(turn / np.hypot(config.stated_sigma, self.turn_sigma))
-        numbers = 3 * len(distance) * len(offs)
-        free = max(numbers - 7, 1)  # the similarity follows 7 of the numbers
-        misfit = np.sqrt(numbers / free) * max(map(_rms, offs))
-        scale_sigma = _rms(distance) / extent / np.sqrt(max(3 * len(distance) - 7, 1))
-        return _Fit(by, distance, turn, np.max(offs, axis=0), float(misfit), scale_sigma)
-
 
 @dataclass(frozen=True)
 class _Fit:
     """A similarity, and how far things `[N]` are from where they are stated after it.
 
     distance: in the unit of the stated world. turn: angle in radians, 0 of landmarks.
-    off: in standard deviations. misfit: all of these in one number, about 1 for errors as allowed.
     scale_sigma: relative standard deviation of the scale.
     """
 
     by: Similarity
     distance: Floats
     turn: Floats
-    off: Floats
-    misfit: float
     scale_sigma: float
 
 
@@ -102,10 +83,11 @@ def align_to_cameras(
         turned=np.swapaxes(target.rotation, 1, 2) @ own.rotation,
         turn_sigma=covariance.rotation_sigma[order],
     )
-    fit = _fit_or_refuse(stated, config)
+    fit = _fit(stated, config)
     remark = (
         f"aligned to {count(len(order), 'camera')} of known pose, RMS distance "
-        f"{_describe_distance(stated, fit)}, RMS angle {np.degrees(_rms(fit.turn)):.1f} deg"
+        f"{_describe_distance(stated, fit.distance)}, "
+        f"RMS angle {np.degrees(_rms(fit.turn)):.1f} deg"
     )
     return fit.by, fit.scale_sigma, World(kind="file", remarks=(remark,))
 
@@ -169,13 +151,13 @@ def align_to_landmarks(
         known=known[seen][:, None],
         sigma=_sigmas_of_points(rig, found[seen], detected, covariance, config),
     )
-    fit = _fit_or_refuse(stated, config)
+    fit = _fit(stated, config)
     away = np.full(len(names), np.nan)
     away[seen] = fit.distance
     measured = tuple(map(MeasuredLandmark, names, away.tolist()))
     remark = (
         f"aligned to {count(len(fit.distance), 'landmark')}, RMS distance "
-        f"{_describe_distance(stated, fit)}"
+        f"{_describe_distance(stated, fit.distance)}"
     )
     world = World(kind="landmarks", landmarks=measured, remarks=(remark,))
     return fit.by, fit.scale_sigma, world
@@ -218,26 +200,36 @@ def _check_landmarks(points: Floats, number: int, config: WorldConfig) -> None:
         )
 
 
-def _fit_or_refuse(stated: _Stated, config: WorldConfig) -> _Fit:
-    """Return the fit of all things. Raises MismatchError where it is worse than errors can be."""
-    fit = stated.fit(config)
-    if fit.misfit > config.most_misfit:
-        turn = "" if stated.turned is None else f" and {np.degrees(_rms(fit.turn)):.0f} deg"
+def _fit(stated: _Stated, config: WorldConfig) -> _Fit:
+    """Return the best similarity. Raises MismatchError where it fits worse than errors can be."""
+    found, known, turn = stated.found[:, 0], stated.known[:, 0], np.zeros(len(stated.names))
+    by = align_by_similarity(stated.found.reshape(-1, 3), stated.known.reshape(-1, 3))
+    distance, extent = np.linalg.norm(by.apply(found) - known, axis=1), _extent(known)
+    offs = [distance / np.hypot(config.stated_sigma * extent, by.scale * stated.sigma)]
+    if stated.turned is not None:
+        turn = angle_between(stated.turned, by.rotation)
+        offs.append(turn / np.hypot(config.stated_sigma, stated.turn_sigma))
+    numbers = known.size * len(offs)
+    free = max(numbers - 7, 1)  # the similarity follows 7 of the numbers
+    misfit = np.sqrt(numbers / free) * max(map(_rms, offs))
+    if misfit > config.most_misfit:
+        angle = "" if stated.turned is None else f" and {np.degrees(_rms(turn)):.0f} deg"
+        worst = stated.names[int(np.argmax(np.max(offs, axis=0)))]
         raise MismatchError(
             f"{stated.option}: expected {stated.things} where the recording shows them, found "
-            f"them {_describe_distance(stated, fit)}{turn} from there (RMS), most of all "
-            f"{stated.names[int(np.argmax(fit.off))]}; correct or leave out that one, or correct "
-            "the axes of the file, which are right-handed"
+            f"them {_describe_distance(stated, distance)}{angle} from there (RMS), most of all "
+            f"{worst}; correct or leave out that one, or correct the axes of the file, which are "
+            "right-handed"
         )
-    return fit
+    return _Fit(by, distance, turn, _rms(distance) / extent / np.sqrt(max(known.size - 7, 1)))
 
 
-def _describe_distance(stated: _Stated, fit: _Fit) -> str:
+def _describe_distance(stated: _Stated, distance: Floats) -> str:
     """Return the RMS distance in words: in millimetres, or in percent of the rig's size."""
-    distance = _rms(fit.distance)
+    rms = _rms(distance)
     if stated.unit in METRES:
-        return f"{1e3 * METRES[stated.unit] * distance:.0f} mm"
-    return f"{100 * distance / _extent(stated.known[:, 0]):.1f} % of the rig's size"
+        return f"{1e3 * METRES[stated.unit] * rms:.0f} mm"
+    return f"{100 * rms / _extent(stated.known[:, 0]):.1f} % of the rig's size"
 
 
 def _sigmas_of_points(
