@@ -221,14 +221,6 @@ def _times_others(values: Floats) -> Floats:
     return values / np.maximum(others, 1e-300)
 
 
-def find_weak_perspective(fit: Fit) -> Bools:
-    """Return the cameras `[view]` in whose images perspective drowns in the noise.
-
-    They are very far away for the size of what they see.
-    """
-    return fit.perspective < fit.noise
-
-
 def _misfit(error: Floats, limit: float) -> float:
     """Return the RMS of errors, none counted for more than `limit` times their median.
 

@@ -20,7 +20,6 @@ from mocap_calib.adjust.intrinsics import Estimate, free_focal_lengths, shared_i
 from mocap_calib.adjust.refine import (
     adjust_once,
     find_outlier_cameras,
-    find_weak_perspective,
     measure_fit,
 )
 from mocap_calib.compute import Clock
@@ -307,7 +306,7 @@ def assess_uncertainty(
         covariance=covariance.with_changes(off),
         intrinsics_turn=np.sqrt((off[..., :3] ** 2).sum((0, 2))),
         outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & tells,
-        weak_perspective=find_weak_perspective(fit),
+        weak_perspective=fit.perspective < fit.noise,
         focal_change=change,
         focal_sigma=sigma,
         wrong_focal=find_wrong_focal(change, sigma, config) & tells,
