@@ -83,8 +83,6 @@ def screen_cameras(
     Of two cameras neither can be named. held: the views of the largest group.
     """
     names, group = observed.recording.names, result.groups[0]
-    if len(names) < 3:
-        return []
     members = np.array([names.index(name) for name in group.rig.names])
     odd = np.ones(len(names), dtype=bool)
     odd[members] = 2 * len(members) <= len(names)
