@@ -1,7 +1,7 @@
 """Choose the frames of a recording from which the rig is calibrated.
 
-All frames of a short recording except overcrowded ones; of a long one a fixed number that covers
-the images and the pairs of views. Labels and 3D poses are made for all frames, in blocks.
+All frames of a short recording except overcrowded ones; of a long one a fixed number, spread over
+what pairs of views see in common. Labels and 3D poses are made for all frames, in blocks.
 """
 
 from collections.abc import Sequence
