@@ -23,12 +23,14 @@ from mocap_calib.config import TYPICAL_PERCENTILE, Config, TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.mapped import frame_slices
-from mocap_calib.recording.sampling import choose_stretches, take_sample, usual_step
+from mocap_calib.recording.sampling import evenly_spaced, take_sample, usual_step
 from mocap_calib.results import Adjusted, Matches, Poses3D, TimeOffsets
-from mocap_calib.rig import Observed, Tracks
+from mocap_calib.rig import Observed, Tracks, labelled_frames
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Recording
 
+_POINTS = 12_000  # that an estimate takes
+_STRETCH = 10  # frames that follow each other, of which the points come
 # 1 = points move without jerks, 0 = as frames of different times would have them. Recordings of
 # moving subjects have 0.6 to 0.96, samples of single frames 0.15 to 0.26
 _LEAST_SMOOTHNESS = 0.5
@@ -69,8 +71,7 @@ def find_time_offsets(
     unknown = TimeOffsets.unknown(len(rig.cameras)), rig
     if not config.sync.subframe:
         return unknown
-    stretches = choose_stretches(recording, config.sync)
-    frames = np.unique(stretches[stretches >= 0])
+    frames = _choose_stretches(matches, len(recording.keypoints), _POINTS)
     problem = problem_of_frames(recording, rig, matches, frames, config)
     step = usual_step(recording.frames)
     triples = _find_triples(problem.tracks, recording.frames, step)
@@ -110,6 +111,16 @@ def _find_triples(tracks: Tracks, frames: Ints, step: int) -> Ints:
     middle = np.flatnonzero(follows[:-1] & follows[1:]) + 1
     triples = order[np.stack([middle - 1, middle, middle + 1])]
     return triples[:, np.argsort(triples[1])]
+
+
+def _choose_stretches(matches: Matches, keypoints: int, budget: int) -> Ints:
+    """Return indices of frames in stretches that are evenly spread, of about `budget` points."""
+    labelled = labelled_frames(matches)
+    bodies = (matches.labels[:, labelled] >= 0).sum(2).max(0).mean()  # in a frame
+    starts = np.unique(labelled // _STRETCH) * _STRETCH
+    starts = evenly_spaced(starts, max(1, round(budget / (bodies * keypoints * _STRETCH))))
+    frames = (starts[:, None] + np.arange(_STRETCH)).ravel()
+    return frames[frames < matches.labels.shape[1]]
 
 
 def _determined_views(problem: Problem, triples: Ints, least: int) -> Bools:

@@ -11,9 +11,10 @@ from mocap_calib.adjust import refine
 from mocap_calib.adjust.covariance import _inverse_at_size
 from mocap_calib.adjust.problem import free_parameters
 from mocap_calib.clocks.maps import agreement_along
-from mocap_calib.clocks.subframe import _are_significant
+from mocap_calib.clocks.subframe import _are_significant, _choose_stretches
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.results import Matches
 from mocap_calib.rig import matched_share
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.types import Camera, EstimatedCamera
@@ -68,6 +69,17 @@ def test_the_inverse_at_a_size_is_that_of_all_that_leaves_it():
     expected = free @ np.linalg.inv(free.T @ matrix @ free) @ free.T
     unit = np.outer(scale, scale)
     np.testing.assert_allclose(found * unit, expected * unit, atol=1e-6)
+
+
+def test_stretches_are_whole_and_spread_over_the_recording():
+    labels = np.zeros((2, 100, 1), dtype=np.int64)
+    labels[:, 40:60] = -1
+    found = _choose_stretches(Matches(labels), 10, budget=400).reshape(-1, 10)
+    starts = found[:, 0]
+    assert (found == starts[:, None] + np.arange(10)).all()
+    assert len(starts) == 4
+    assert (starts[0], starts[-1]) == (0, 90)
+    assert not ((starts >= 40) & (starts < 60)).any()
 
 
 @pytest.mark.parametrize(
