@@ -29,6 +29,8 @@ class SampleConfig:
     detections: int = 10_000
     frames: int = 500  # at most: of one subject there are not more postures
     least_frames: int = 100
+    candidates: int = 4  # frames looked at for each that is taken
+    cells: int = 6  # of an image, along each side
     # frames with several times the usual number of detections are left out
     usual_share: float = 0.9  # of the frames have no more than the usual number
     crowd: int = 2  # so many times the usual number, and so many more

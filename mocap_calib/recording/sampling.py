@@ -1,18 +1,19 @@
 """Choose the frames of a recording from which the rig is calibrated.
 
-All frames of a short recording except overcrowded ones; of a long one a fixed number, spread over
-what pairs of views see in common. Labels and 3D poses are made for all frames, in blocks.
+All frames of a short recording except overcrowded ones; of a long one a fixed number that covers
+the images and the pairs of views. Labels and 3D poses are made for all frames, in blocks.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, SampleConfig, SyncConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
-from mocap_calib.types import Camera, Ints, Reals, Recording, Sample
+from mocap_calib.types import Camera, Floats, Ints, Reals, Recording, Sample
 
 _STRETCH_FRAMES = 400  # at most, in all stretches together, and half the detections of a sample
 
@@ -75,9 +76,8 @@ def with_cameras(sample: Sample, cameras: tuple[Camera, ...]) -> Sample:
 def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     """Return the indices `[frame]` of the frames that calibration looks at, ascending.
 
-    They are all frames that are not overcrowded, or as many as the budget allows, evenly spaced by
-    what they are worth: a frame counts by the share that it is of what each pair of views sees in
-    common. So frames that no two views see are left out, and pairs that seldom meet are not lost.
+    They are all frames that are not overcrowded, or as many as the budget allows, chosen one by
+    one: each adds most to what the chosen ones show. What is shown often counts less and less.
 
     Frames with several times the usual number of detections are left out: they would set the size
     of all arrays, and most of their detections are false.
@@ -90,12 +90,36 @@ def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     budget = int(np.clip(config.detections / in_frame, config.least_frames, config.frames))
     if len(uncrowded) <= budget:
         return uncrowded
-    sees = (detections[:, uncrowded] > 0).astype(np.float32)
-    common = sees @ sees.T  # [view, view] frames
-    np.fill_diagonal(common, np.inf)
-    worth = np.cumsum((sees * ((1 / np.maximum(common, 1)) @ sees)).sum(0))
-    wanted = worth[-1] * (np.arange(budget) + 0.5) / budget
-    return uncrowded[np.unique(np.searchsorted(worth, wanted))]
+    candidates = evenly_spaced(uncrowded, config.candidates * config.frames)
+    shown = _shown_features(recording.select(frames=candidates), config.cells)
+    counts, chosen = np.zeros(shown.shape[1]), np.zeros(len(candidates), dtype=bool)
+    for _ in range(budget):
+        gain = shown @ (np.sqrt(counts + 1) - np.sqrt(counts))
+        best = int(np.argmax(np.where(chosen, -1.0, gain)))
+        chosen[best] = True
+        counts += shown[best]
+    return candidates[chosen]
+
+
+def _shown_features(recording: Recording, cells: int) -> Floats:
+    """Return `[frame, feature]` 1 where a frame shows a feature, else 0.
+
+    Features are pairs of views that both have a detection, and cells of each view that hold the
+    middle of one: so many along each side of the box of all middles.
+    """
+    sees = recording.detected.any(-1)  # [view, frame]
+    features = [sees[a] & sees[b] for a, b in combinations(range(len(sees)), 2)]
+    for there, positions in zip(recording.detected, recording.positions, strict=True):
+        frame, instance = np.nonzero(there)
+        if not len(frame):
+            continue
+        middle = np.nanmean(positions[frame, instance].astype(np.float64), axis=1)
+        share = (middle - middle.min(0)) / np.maximum(np.ptp(middle, axis=0), 1.0)
+        column, row = np.minimum(cells * share, cells - 1).astype(int).T
+        shown = np.zeros((cells, cells, len(sees[0])), dtype=bool)
+        shown[column, row, frame] = True
+        features.extend(shown.reshape(-1, len(sees[0])))
+    return np.stack(features, axis=1).astype(np.float64)
 
 
 def check_joints(recording: Recording) -> None:

@@ -43,8 +43,21 @@ def test_frames_of_a_pair_that_seldom_meets_are_chosen_and_empty_ones_are_not():
     positions[:, ::2] = np.nan
     rare = replace(found, positions=positions, frames=np.arange(100))
     sample_frames = choose_sample_frames(rare, SampleConfig(detections=1, least_frames=10))
+    assert len(sample_frames) == 10
     assert 57 in sample_frames
     assert (sample_frames % 2 == 1).all()
+
+
+def test_rare_places_are_chosen():
+    """A person, who otherwise stands, is in a corner of one image for one frame of a hundred.
+
+    That frame is in a sample of ten.
+    """
+    found = recording(**LONG).select(frames=np.zeros(100, dtype=int))
+    positions = found.positions.copy()
+    positions[0, 57] += 300.0
+    rare = replace(found, positions=positions, frames=np.arange(100))
+    assert 57 in choose_sample_frames(rare, SampleConfig(detections=1, least_frames=10))
 
 
 @pytest.mark.slow
