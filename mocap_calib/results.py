@@ -261,7 +261,7 @@ class Adjusted(Record):
     depth_reversed_rig: a depth-reversed rig that fits equally well, so that the detections do not
         decide between the two; None = none.
     rounds: number of rounds of adjustment and association.
-    converged: no detection changed its group, and no camera turned, in the last round.
+    converged: no camera turned in the last round.
     """
 
     rig: CameraRig

@@ -2,7 +2,8 @@
 
 A rig of three views or more determines the focal length that its cameras share, and mostly the
 first coefficient of their lens; no search is needed. Errors of detections are correlated, so that
-thousands of them say no more than some hundred: standard deviations count that (`covariance`).
+thousands of them say no more than some hundred would: standard deviations (`covariance`) are of
+as many as are independent.
 """
 
 from dataclasses import dataclass, replace

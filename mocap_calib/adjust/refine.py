@@ -248,9 +248,9 @@ def _perspective(rig: CameraRig, points: Floats, counted: Bools) -> Floats:
 
     points: `[3, N]` in world coordinates; counted: `[view, N]`.
     """
-    found = np.zeros(len(rig))
+    found, in_cameras = np.zeros(len(rig)), points_in_cameras(rig, points)
     for view in np.flatnonzero(counted.any(1)):
-        x, y, z = points_in_cameras(rig, points)[view][:, counted[view]]
+        x, y, z = in_cameras[view][:, counted[view]]
         image = np.stack([x, y], axis=1) / z[:, None]
         affine = np.stack([x, y, z, np.ones_like(z)], axis=1)
         residual = image - affine @ np.linalg.lstsq(affine, image, rcond=None)[0]

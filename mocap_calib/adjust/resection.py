@@ -270,6 +270,8 @@ def find_lost_camera(
     frames = choose_frames(sample, config.moved.detections, config)
     bodies = place_bodies(sample, placed, frames, config, without=view)
     seen = sightings_of(sample.rays[view][frames], bodies)
+    if len(seen.frame) < config.moved.least_detections:
+        return None
     found = resect(seen, diagnosis.resection, seed=0)
     if found is None or (found.individual >= 0).mean() < diagnosis.least_matched:
         return None

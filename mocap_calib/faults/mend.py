@@ -234,13 +234,13 @@ def add_clocks(result: CalibrationResult, clocks: Clocks) -> CalibrationResult:
         groups = tuple(_with_clocks(group, clocks) for group in groups)
     faults = clock_faults(clocks, applied=clocks.changed)
     # what is found of a camera whose rig is not determined would rest on the others
-    known = {
+    unknown = {
         name.partition(EPOCH_MARK)[0]
         for group in groups
-        if group.verdict != VERDICTS[-1]
+        if group.verdict == VERDICTS[-1]
         for name in group.rig.names
     }
-    faults = tuple(fault for fault in faults if not fault.mend or fault.camera in known)
+    faults = tuple(fault for fault in faults if not fault.mend or fault.camera not in unknown)
     return replace(result, groups=groups, clocks=clocks, faults=(*faults, *result.faults))
 
 

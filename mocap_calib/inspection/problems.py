@@ -255,7 +255,8 @@ def _find_camera_problems(
         check_joints(recording.select(frames=sample_frames))
     except MismatchError as error:
         return [critical(str(error))]
-    idle = [camera.name for camera in cameras if camera.name not in match_cameras(views, cameras)]
+    matched = match_cameras(views, cameras)
+    idle = [camera.name for camera in cameras if camera.name not in matched]
     if not idle:
         return []
     return [

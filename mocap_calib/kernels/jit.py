@@ -41,9 +41,9 @@ def drop_stale_code(folder: Path) -> None:
 
 
 def _load_numba_without_blas() -> None:
-    """Import what numba needs of all functions, but not scipy's BLAS: 0.2 s, which none here calls.
+    """Import numba without scipy's BLAS, which no kernel calls: it takes 0.2 s.
 
-    Functions of others that multiply matrices have it imported when they are compiled.
+    Functions of others that multiply matrices import it when they are compiled.
     """
     name = "scipy.linalg.cython_blas"
     if name in sys.modules:

@@ -3,7 +3,7 @@
 Every possible match of two lifted bodies gives a rotation in closed form, and five-point RANSAC
 gives more where identities are known. All are scored on all frames at once; the best hypotheses
 are refined by turns of matching and robust least squares on rays. The one with the
-best score is the answer, the others are its alternatives, which a third view may speak for.
+best score is the answer, the others are its alternatives.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -134,7 +134,8 @@ def calibrate_pair(pair: ViewPair, config: PairwiseConfig) -> PairwiseCalibratio
             separation_deg=config.separation_deg,
         )
         found = found[distinct]
-    best, *alternatives = (_calibration(pair, found, k) for k in range(len(found.score)))
+    answers = [_calibration(pair, found, k) for k in range(len(found.score))]
+    best, *alternatives = sorted(answers, key=lambda each: -each.score)
     return replace(best, alternatives=tuple(alternatives))
 
 

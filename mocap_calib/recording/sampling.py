@@ -107,7 +107,8 @@ def _shown_features(recording: Recording, cells: int) -> Floats:
     Features are pairs of views that both have a detection, and cells of each view that hold the
     middle of one: so many along each side of the box of all middles.
     """
-    sees = recording.detected.any(-1)  # [view, frame]
+    sees = np.asarray(recording.detected.any(-1))  # [view, frame]
+    frames = len(recording.frames)
     features = [sees[a] & sees[b] for a, b in combinations(range(len(sees)), 2)]
     for there, positions in zip(recording.detected, recording.positions, strict=True):
         frame, instance = np.nonzero(there)
@@ -116,9 +117,9 @@ def _shown_features(recording: Recording, cells: int) -> Floats:
         middle = np.nanmean(positions[frame, instance].astype(np.float64), axis=1)
         share = (middle - middle.min(0)) / np.maximum(np.ptp(middle, axis=0), 1.0)
         column, row = np.minimum(cells * share, cells - 1).astype(int).T
-        shown = np.zeros((cells, cells, len(sees[0])), dtype=bool)
+        shown = np.zeros((cells, cells, frames), dtype=bool)
         shown[column, row, frame] = True
-        features.extend(shown.reshape(-1, len(sees[0])))
+        features.extend(shown.reshape(-1, frames))
     return np.stack(features, axis=1).astype(np.float64)
 
 

@@ -22,8 +22,8 @@ from mocap_calib.results import LiftedPoses, Matches
 from mocap_calib.rig import per_frame_labels
 from mocap_calib.types import CameraRig, Floats, Ints, Progress, Recording, Sample
 
-# pairs of detections grouped at a time, and in the frames that the likelihood ratio is measured on.
-# They stay in the cache, and make blocks enough for several threads
+# Pairs of detections grouped at a time: they stay in the cache, and make blocks enough for several
+# threads. The likelihood ratio is measured on a quarter as many
 _PAIRS = 200_000
 _NEWTON_STEPS = 8  # of the logistic regression
 

@@ -17,7 +17,7 @@ from mocap_calib.config import REPORT_FRAMES, VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Cause, GroupResult, Matches
-from mocap_calib.rig import matched_pixels, matched_share
+from mocap_calib.rig import gather_tracks, matched_share
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
@@ -58,10 +58,12 @@ def find_residuals(
 
     rig: of the cameras of the recording.
     """
-    seen, _ = matched_pixels(recording, matches, frames)
-    pixels = np.moveaxis(seen, -1, 1)
-    projected = project_views(rig, mapped.take(points, frames).reshape(-1, 3).T)
-    return Residuals(pixels, projected.reshape(pixels.shape) - pixels)
+    seen = gather_tracks(recording, matches, frames)
+    shown = mapped.take(points, frames)  # [frame, individual, keypoint, 3]
+    shape = (len(rig), 2, *shown.shape[:-1])
+    pixels = np.where(seen.weight[:, None] > 0, seen.pixels, np.nan)
+    gap = project_views(rig, shown.reshape(-1, 3).T) - pixels
+    return Residuals(pixels.reshape(shape), gap.reshape(shape))
 
 
 def report_frames(recording: Recording) -> Ints:

@@ -75,7 +75,7 @@ def judge(result: CalibrationResult) -> CalibrationResult:
     for group in result.groups:
         checks, config = group.assessment.checks, result.config
         verdict = assess(group, checks, config, faults=result.faults, clocks=result.clocks)
-        groups.append(_without_accusations(replace(group, assessment=verdict), config))
+        groups.append(_certain_outliers(replace(group, assessment=verdict), config))
     return replace(result, groups=tuple(groups))
 
 
@@ -253,19 +253,19 @@ def _left_open(
             yield Cause("clock", clock.camera, OPEN_DEG, meaning, "use --sync auto")
 
 
-def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
-    """Return the group that names outlier cameras only where the others determine them.
+def _certain_outliers(group: GroupResult, config: Config) -> GroupResult:
+    """Return the group with outlier cameras only where the others are consistent.
 
-    None of a rig that is not determined, most cameras of which are uncertain or look like no other
-    one, or half inconsistent.
+    None where the rig is not determined, where half of the cameras are outliers, and where most
+    cameras are uncertain or belong to no good pair.
     """
     none, known = np.zeros(len(group.rig), dtype=bool), group.uncertainty
     usual = np.rad2deg(np.median(known.covariance.rotation_sigma))
-    alike = np.median(best_scores(group.pairs, len(none)))  # NaN: no pairs are known
-    strangers = usual > VERDICT_LIMITS_DEG[1] or alike < config.averaging.weak_score
+    score = np.median(best_scores(group.pairs, len(none)))  # NaN: no pairs are known
+    uncertain = usual > VERDICT_LIMITS_DEG[1] or score < config.averaging.weak_score
     if group.verdict == "not determined":
         known = replace(known, outlier_cameras=none, wrong_focal=none)
-    elif 2 * known.outlier_cameras.sum() >= len(none) or strangers:
+    elif 2 * known.outlier_cameras.sum() >= len(none) or uncertain:
         known = replace(known, outlier_cameras=none)
     return replace(group, uncertainty=known)
 

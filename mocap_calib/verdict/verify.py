@@ -259,7 +259,12 @@ def _compare(
 def _placed_points(
     sample: Sample, placed: PlacedCameras, view: int, trusted: Bools, config: Config
 ) -> tuple[Floats, Floats]:
-    """Return the points `[N, 3]` that trusted views place, and where a view saw them `[N, 2]`."""
+    """Return the points `[N, 3]` that trusted views place, and where a view saw them `[N, 2]`.
+
+    Rays may miss points by as much as in an adjustment: the rig may be a little off for all.
+    """
+    loose = replace(config.triangulate, outlier=config.adjust.outlier)
+    config = replace(config, triangulate=loose)
     frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
     seen = gather_tracks(sample, placed.matches, frames)
     theirs = replace(seen, weight=np.where(trusted[:, None], seen.weight, 0.0))

@@ -212,14 +212,13 @@ def _fit(stated: _Stated, config: WorldConfig) -> _Fit:
     numbers = known.size * len(offs)
     free = max(numbers - 7, 1)  # the similarity follows 7 of the numbers
     misfit = np.sqrt(numbers / free) * max(map(_rms, offs))
-    if misfit > config.most_misfit:
+    if not misfit <= config.most_misfit:  # NaN where all stated places are one
         angle = "" if stated.turned is None else f" and {np.degrees(_rms(turn)):.0f} deg"
         worst = stated.names[int(np.argmax(np.max(offs, axis=0)))]
         raise MismatchError(
             f"{stated.option}: expected {stated.things} where the recording shows them, found "
             f"them {_describe_distance(stated, distance)}{angle} from there (RMS), most of all "
-            f"{worst}; correct or leave out that one, or correct the axes of the file, which are "
-            "right-handed"
+            f"{worst}; correct or leave out that one, or give the file right-handed axes"
         )
     return _Fit(by, distance, turn, _rms(distance) / extent / np.sqrt(max(known.size - 7, 1)))
 

@@ -6,7 +6,6 @@ weighted by their inverse variances (a product of errors is a sum of logarithms)
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 
 import numpy as np
 
@@ -349,12 +348,13 @@ def _find_pair(
     Raises MismatchError.
     """
     known = {normalise_name(name): k for name, k in known.items()} | dict(known)
-    names = [name if name in known else normalise_name(name) for name in text.split("-")]
-    each = permutations(known.items(), 2)
-    pairs = {f"{a}-{b}": (first, second) for (a, first), (b, second) in each if first != second}
-    if found := pairs.get(text, pairs.get("-".join(names))):
-        return found
-    strangers = [name for name in names if name not in known]
+    names = text.split("-")
+    for cut in range(1, len(names)):
+        ends = ("-".join(names[:cut]), "-".join(names[cut:]))
+        first, second = (known.get(end, known.get(normalise_name(end))) for end in ends)
+        if first is not None and second is not None and first != second:
+            return first, second
+    strangers = [name for name in names if name not in known and normalise_name(name) not in known]
     advice = suggest(strangers[0], offered) if strangers else "give two"
     raise MismatchError(
         f"{option} {text}: expected two {what}, as A-B, of {', '.join(offered)}, "

@@ -161,7 +161,7 @@ def test_landmarks_measured_by_hand_are_good_enough():
     ("stated", "says"),
     [
         (MARKS * [1, 1, 2], "most of all e; correct or leave out that one"),
-        (MARKS[:, [1, 0, 2]], "correct the axes of the file, which are right-handed"),
+        (MARKS[:, [1, 0, 2]], "give the file right-handed axes"),
         (MARKS * [1, 3, 1], "most of all .; correct"),
     ],
 )
@@ -240,7 +240,7 @@ def place(rig: CameraRig, rotation: np.ndarray, centres: np.ndarray) -> CameraRi
 def test_an_alignment_that_contradicts_is_left_out_and_said():
     world = placed_by_landmarks(MARKS, MARKS[:, [1, 0, 2]])
     assert world.kind == "camera"
-    assert "axes of the file, which are right-handed" in world.axes_unmet
+    assert "right-handed axes" in world.axes_unmet
 
 
 def placed_by_landmarks(places: np.ndarray, stated: np.ndarray) -> World:
