@@ -1,6 +1,6 @@
 """How firmly the number of individuals of a recording follows, whatever the constants.
 
-Calibrate a recording with each of eight constants times .7 and times 1.4, and count how often as
+Calibrate a recording with each of twelve constants times .7 and times 1.4, and count how often as
 many individuals are found as there are. RECORDING is a folder with keypoints/ and intrinsics.toml,
 or the name of one under the folder that MOCAP_CALIB_RECORDINGS names.
 
@@ -17,14 +17,18 @@ import mocap_calib
 from mocap_calib.config import Config
 
 CONSTANTS = (
+    "sample.detections",
     "pairwise.inlier",
     "pairwise.centre_tolerance",
     "pairwise.pose_tolerance",
+    "averaging.weak_score",
     "matching.least_affinity",
     "matching.decisive",
+    "adjust.points",
     "adjust.low_confidence_share",
     "adjust.outlier",
     "triangulate.outlier",
+    "triangulate.least_angle_deg",
 )
 FACTORS = (0.7, 1.4)
 
