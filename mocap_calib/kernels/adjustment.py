@@ -337,13 +337,6 @@ def _set_products(first_row: Floats, second_row: Floats, others: Floats, into: F
         into[n] = first_row[n] * first_other[n] + second_row[n] * second_other[n]
 
 
-@inlined
-def _copy(row: Floats, into: Floats) -> None:
-    """Copy a row."""
-    for n in range(len(into)):
-        into[n] = row[n]
-
-
 @kernel(
     "f8[:,:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], "
     "f8[:,:,::1], f8[:,::1]"
@@ -376,18 +369,13 @@ def reduced(
         point[:] = 0.0
         gradient[:] = 0.0
         for v in range(views):
-            for i in range(3):
-                _copy(in_camera[v, i, start:stop], where[i, :size])
-                for k in range(2):
-                    _copy(slope[v, k, i, start:stop], by_camera[k, i, :size])
-            for k in range(2):
-                _copy(residual[v, k, start:stop], rest[k, :size])
+            where[:, :size] = in_camera[v, :, start:stop]
+            by_camera[:, :, :size] = slope[v, :, :, start:stop]
+            rest[:, :size] = residual[v, :, start:stop]
             _derivatives(rotation[v], where, by_camera, poses, by_point[v])
+            camera[v, :6, :, start:stop] = poses[:, :, :size]
             for k in range(2):
-                for c in range(6):
-                    _copy(poses[c, k, :size], camera[v, c, k, start:stop])
-                for c in range(6, unknowns):
-                    _copy(own[v, k, c - 6, start:stop], camera[v, c, k, start:stop])
+                camera[v, 6:, k, start:stop] = own[v, k, :, start:stop]
             for i in range(3):
                 _add_products(by_point[v, 0, i], by_point[v, 1, i], rest, gradient[i])
                 for j in range(i + 1):

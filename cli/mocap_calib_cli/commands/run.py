@@ -2,11 +2,17 @@
 
 import gc
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mocap_calib_cli import option_files, options, values
+
+if TYPE_CHECKING:
+    from mocap_calib.job.results import WrittenGroup
+    from mocap_calib_cli.progress import Reporter
 
 _NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video CAM=FILE -o overlay"
 
@@ -66,9 +72,8 @@ def command(
       mocap-calib run --config recording.yaml
     """
     gc.disable()  # what is imported stays: to look for garbage among it takes a seventh of the time
-    from mocap_calib.io.results.group import group_folder
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
-    from mocap_calib_cli import describe, ending, inputs, outputs, verdicts
+    from mocap_calib_cli import describe, inputs, outputs, verdicts
     from mocap_calib_cli.interrupted import say_how_to_go_on
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
@@ -93,6 +98,24 @@ def command(
     groups, clocks = describe.describe_groups(result), describe.describe_unknown_clocks(result)
     reporter.say("", *groups, *clocks)
     reporter.say(*describe.describe_unused_cameras(result.left_out))
+    _say_groups(reporter, written, output, shared)
+    if as_json:
+        click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
+    if complaint := written[0].complaint:
+        raise complaint
+    context.exit(verdicts.exit_status(result.groups[0].verdict, shared))
+
+
+def _say_groups(
+    reporter: "Reporter",
+    written: Sequence["WrittenGroup"],
+    output: Path,
+    shared: options.SharedOptions,
+) -> None:
+    """Say what was found of each group of cameras, the largest last."""
+    from mocap_calib.io.results.group import group_folder
+    from mocap_calib_cli import describe, ending, verdicts
+
     for number in reversed(range(len(written))):  # the largest group, which counts, comes last
         files, folder = written[number], output / group_folder(number)
         reporter.show(ending.camera_table(files.report))
@@ -108,8 +131,3 @@ def command(
             counts=number == 0,
             next_step=_NEXT_STEP.format(folder),
         )
-    if as_json:
-        click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
-    if complaint := written[0].complaint:
-        raise complaint
-    context.exit(verdicts.exit_status(result.groups[0].verdict, shared))

@@ -22,6 +22,15 @@ if TYPE_CHECKING:
 _DEFAULT = TrainConfig()
 
 
+def _check_width(_: click.Context, __: click.Parameter, value: int) -> int:
+    """Return the width of a token, which heads share."""
+    if value % ENCODER_HEADS:
+        raise click.BadParameter(
+            f"expected a multiple of {ENCODER_HEADS}: a token is shared by as many heads"
+        )
+    return value
+
+
 @click.command(name="train")
 @click.argument("poses", nargs=-1, type=click.Path(path_type=Path), metavar="[POSES...]")
 @options.output_file("Weights to write (.safetensors); the model card is inside.")
@@ -63,6 +72,7 @@ _DEFAULT = TrainConfig()
 @click.option(
     "--width",
     type=WholeNumber(min=ENCODER_HEADS),
+    callback=_check_width,
     default=_DEFAULT.width,
     help=f"Size of a token; a multiple of {ENCODER_HEADS}.",
 )
@@ -121,11 +131,6 @@ def command(
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
 
-    if sizes["width"] % ENCODER_HEADS:
-        raise click.BadParameter(
-            f"expected a multiple of {ENCODER_HEADS}: a token is shared by as many heads",
-            param_hint="--width",
-        )
     outputs.check_file(output)
     check_device(shared.device)
     source = TrainingSource(poses, calibrated, skeleton, up, procedural)
