@@ -7,7 +7,7 @@ linkage.
 import numpy as np
 
 from mocap_calib.kernels.jit import inlined, kernel
-from mocap_calib.types import Floats, Ints
+from mocap_calib.types import Bools, Floats, Ints
 
 
 @inlined
@@ -94,6 +94,59 @@ def fit_hypotheses(
                     fit[m, frame, i, j] = _mean_fit(
                         from_a[i], from_b[j], ray, common, narrow, terms
                     )
+
+
+@inlined
+def _is_in_front(rotation: Floats, translation: Floats, ray_a: Floats, ray_b: Floats) -> bool:
+    """Return whether two rays `[3]` meet in front of both cameras: signs of `epipolar.depths`."""
+    cosine = along_a = along_b = 0.0
+    for row in range(3):
+        turned = (
+            rotation[row, 0] * ray_a[0] + rotation[row, 1] * ray_a[1] + rotation[row, 2] * ray_a[2]
+        )
+        cosine += turned * ray_b[row]
+        along_a += turned * translation[row]
+        along_b += ray_b[row] * translation[row]
+    return cosine * along_b > along_a and along_b > cosine * along_a
+
+
+@kernel(
+    "f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], "
+    "b1[:,:,:,::1], f8[::1]"
+)
+def share_in_front(
+    rotation: Floats,
+    translation: Floats,
+    rays_a: Floats,
+    rays_b: Floats,
+    weight_a: Floats,
+    weight_b: Floats,
+    matched: Bools,
+    share: Floats,
+) -> None:
+    """Set the share `[M]` of the joints of the matches that are in front of both cameras.
+
+    rotation: `[M, 3, 3]` and translation: `[M, 3]` of b_from_a. rays_a, rays_b: `[frame, instance,
+    keypoint, 3]`. weight_a, weight_b: `[frame, instance, keypoint]`. matched: `[M, frame, I, J]`.
+    """
+    hypotheses, frames, count_a, count_b = matched.shape
+    for m in range(hypotheses):
+        joints = in_front = 0
+        for frame in range(frames):
+            for i in range(count_a):
+                for j in range(count_b):
+                    if not matched[m, frame, i, j]:
+                        continue
+                    for k in range(weight_a.shape[2]):
+                        if weight_a[frame, i, k] * weight_b[frame, j, k] > 0:
+                            joints += 1
+                            in_front += _is_in_front(
+                                rotation[m],
+                                translation[m],
+                                rays_a[frame, i, k],
+                                rays_b[frame, j, k],
+                            )
+        share[m] = in_front / max(joints, 1)
 
 
 # --- groups of the detections of a frame

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
 from mocap_calib.kernels import pair_refinement
-from mocap_calib.kernels.association import fit_hypotheses
+from mocap_calib.kernels.association import fit_hypotheses, share_in_front
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.pairs.view_pair import (
     ViewPair,
@@ -248,6 +248,7 @@ class Hypotheses:
     source: `[M]` method that found each ("lifted", "five-point", ...).
     matched: `[M, frame, I, J]` matches under each hypothesis.
     score: `[M]` in 0..1, see `score_hypotheses`.
+    in_front: `[M]` in 0..1, share of the matched joints in front of both cameras.
     """
 
     rotation: Floats
@@ -255,6 +256,7 @@ class Hypotheses:
     source: NDArray[np.str_]
     matched: Bools
     score: Floats
+    in_front: Floats
 
     def __getitem__(self, index: Ints) -> "Hypotheses":
         return Hypotheses(*(each[index] for each in vars(self).values()))
@@ -269,18 +271,21 @@ def score_hypotheses(
 ) -> Hypotheses:
     """Match the detections under each hypothesis, and score it by its matches.
 
-    The score is the share of the possible matches that are made, each weighted by the share of its
-    joints that fit the epipolar geometry, x the square root of the mean agreement of the lifted
-    poses, by which bodies count as much as in the affinity of a match: rays are measured, bodies
-    are predicted from the same keypoints.
+    The pair score is the share of the possible matches that are made, each weighted by the share
+    of its joints that fit the epipolar geometry, x the share of joints in front of both cameras
+    x the square root of the mean agreement of the lifted poses, by which bodies count as much as
+    in the affinity of a match: rays are measured, bodies are predicted from the same keypoints.
     """
     affinity, fit, pose = match_affinity(pair, rotation, translation, config)
     matched = mutual_best(affinity)
+    in_front = np.zeros(len(rotation))
+    of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
+    share_in_front(*contiguous(rotation, translation, *of_views, matched), in_front)
     possible = np.minimum(pair.a.present.sum(-1), pair.b.present.sum(-1)).sum()
     explained = (matched * fit).sum((1, 2, 3)) / max(possible, 1)
     agreement = (matched * pose).sum((1, 2, 3)) / np.maximum(matched.sum((1, 2, 3)), 1)
-    score = explained * np.sqrt(agreement)
-    return Hypotheses(rotation, translation, source, matched, score)
+    score = explained * in_front * np.sqrt(agreement)
+    return Hypotheses(rotation, translation, source, matched, score, in_front)
 
 
 def refine_hypotheses(pair: ViewPair, found: Hypotheses, config: PairwiseConfig) -> Hypotheses:

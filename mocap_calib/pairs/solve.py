@@ -134,8 +134,7 @@ def calibrate_pair(pair: ViewPair, config: PairwiseConfig) -> PairwiseCalibratio
             separation_deg=config.separation_deg,
         )
         found = found[distinct]
-    answers = [_calibration(pair, found, k) for k in range(len(found.score))]
-    best, *alternatives = sorted(answers, key=lambda each: -each.score)
+    best, *alternatives = (_calibration(pair, found, k) for k in range(len(found.score)))
     return replace(best, alternatives=tuple(alternatives))
 
 
@@ -325,17 +324,12 @@ def _with_baseline(pair: ViewPair, rotation: Floats, translation: Floats, matche
 
 
 def _calibration(pair: ViewPair, found: Hypotheses, k: int) -> PairwiseCalibration:
-    """Return the record of one of the hypotheses, with a baseline in body sizes.
-
-    The pair score is that of the hypothesis x the share of joints in front of both cameras.
-    """
+    """Return the record of one of the hypotheses, with a baseline in body sizes."""
     rotation, translation, matched = found.rotation[k], found.translation[k], found.matched[k]
     frame, i, j = np.nonzero(matched)
     rays = matched_rays(pair, matched)
     matrix = unit_essential_matrix(rotation, translation)
     error = np.abs(sampson_angle(matrix, rays[:, :3], rays[:, 3:6]))
-    ahead = distance_ratios(pair.a, pair.b, rotation, translation, matched)
-    in_front = len(ahead) / max(len(rays), 1)
     return PairwiseCalibration(
         a=pair.views[0],
         b=pair.views[1],
@@ -343,8 +337,8 @@ def _calibration(pair: ViewPair, found: Hypotheses, k: int) -> PairwiseCalibrati
         translation=_with_baseline(pair, rotation, translation, matched),
         matches=np.stack([pair.frames[frame], i, j], 1),
         frames=pair.shared_frames,
-        score=float(found.score[k]) * in_front,
+        score=float(found.score[k]),
         residual=float(np.median(error)) if len(error) else np.inf,
-        in_front=in_front,
+        in_front=float(found.in_front[k]),
         source=str(found.source[k]),
     )

@@ -3,9 +3,10 @@
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.pairs.affinity import unit_essential_matrix
-from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
-from mocap_calib.types import Floats
+from mocap_calib.geometry.epipolar import depths
+from mocap_calib.pairs.affinity import Hypotheses, unit_essential_matrix
+from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian, matched_rays
+from mocap_calib.types import Bools, Floats
 
 
 def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:
@@ -37,6 +38,18 @@ def epipolar_fit(error: Floats, weight: Floats, config: PairwiseConfig) -> Float
     fit = (weight / (1 + (error / config.inlier) ** 2)).sum(-1)
     enough = (weight > 0).sum(-1) >= config.least_joints
     return fit / np.maximum(weight.sum(-1), 1e-9) * enough
+
+
+def share_of_depths(pair: ViewPair, hypotheses: Hypotheses, matched: Bools) -> Floats:
+    """Return the share `[M]` of the joints of matches in front of both cameras."""
+    share = np.zeros(len(matched))
+    for m, of_one in enumerate(matched):
+        rays = matched_rays(pair, of_one)
+        if len(rays):
+            rotation, translation = hypotheses.rotation[m], hypotheses.translation[m]
+            depth_a, depth_b = depths(rotation, translation, rays[:, :3], rays[:, 3:6])
+            share[m] = ((depth_a > 0) & (depth_b > 0)).mean()
+    return share
 
 
 def distances_by_size(rays: Floats) -> Floats:

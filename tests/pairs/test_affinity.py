@@ -11,6 +11,7 @@ from scenes import lifted, recording, scene
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.kernels.association import share_in_front
 from mocap_calib.pairs.affinity import (
     body_agreement,
     epipolar_affinity,
@@ -114,6 +115,19 @@ def test_affinity_is_the_epipolar_fit_times_the_root_of_the_agreement_of_bodies(
     expected = np.where(pair.lifted > 0, np.sqrt(bodies), 1.0)
     np.testing.assert_allclose(affinity, fit * expected, rtol=1e-9)
     assert (pose[:, pair.lifted == 0] == 1).all()
+
+
+def test_the_compiled_share_in_front_is_that_of_the_depths():
+    pair, poses = ten_frames_of_two_views(), poses_of_some_hypotheses()
+    rng = np.random.default_rng(6)
+    matched = rng.random((5, *pair.lifted.shape)) < 0.3
+    matched[3] = False
+    found = np.zeros(5)
+    of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
+    share_in_front(poses.rotation, poses.translation, *of_views, matched, found)
+    np.testing.assert_allclose(found, oracle.share_of_depths(pair, poses, matched), rtol=1e-12)
+    assert found[3] == 0
+    assert np.unique(found).size > 2
 
 
 def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
