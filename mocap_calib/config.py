@@ -231,6 +231,8 @@ class IntrinsicsConfig:
         own then. Measured: 0.7 to 1.3 where they are equal, 2.0 where clocks and keypoints are poor
         besides; 3.3 to 20 where they differ by 8 to 20 %. And by which k1 of a camera must be away
         from what was given, to be changed.
+    overconfidence: by how much the variance is larger than that of independent errors, until it
+        has been measured. Real recordings have 2 to 100.
     """
 
     refine: Refinement = "none"
@@ -239,6 +241,7 @@ class IntrinsicsConfig:
     least_gain: float = 0.5
     k1_uncertainty: float = 0.2
     significance: float = 3.0
+    overconfidence: float = 25.0
 
 
 DEFAULT_FOCAL = 1.2  # focal length of a camera of which nothing is known, in longer image sides

@@ -2,8 +2,8 @@
 
 A rig of three views or more determines the focal length that its cameras share, and mostly the
 first coefficient of their lens; no search is needed. Errors of detections are correlated, so that
-thousands of them say no more than some hundred would: standard deviations (`covariance`) are of
-as many as are independent.
+thousands of them weigh no more than some hundred (`covariance`): what is known beforehand counts
+for as much more.
 """
 
 from dataclasses import dataclass, replace
@@ -11,11 +11,11 @@ from functools import partial
 
 import numpy as np
 
-from mocap_calib.adjust.covariance import find_covariance
+from mocap_calib.adjust.covariance import Covariance, find_covariance
 from mocap_calib.adjust.problem import choose_problem, free_parameters, solve
 from mocap_calib.adjust.refine import placed_as
-from mocap_calib.adjust.residuals import changed_cameras
-from mocap_calib.adjust.solve import optimise_points
+from mocap_calib.adjust.residuals import State, changed_cameras
+from mocap_calib.adjust.solve import Parameters, optimise_points
 from mocap_calib.config import SAME_IMAGE_SIZE, Config, IntrinsicsConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.recording.sampling import with_cameras
@@ -34,6 +34,8 @@ from mocap_calib.types import (
     Sample,
     silent,
 )
+
+_MOST_OVERCONFIDENCE = 1e4  # where what was seen says barely anything
 
 
 def estimate_cameras(
@@ -69,12 +71,14 @@ def _estimate_group(
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A rig adjusted with free intrinsics, and what it was adjusted to.
+class _Estimate:
+    """A rig with its intrinsics, and what was seen with them.
 
-    sample, matches: with the rays of the rig's cameras.
+    sample, matches: with the rays of the rig's cameras, and labelled by the rig.
     change: `[view, intrinsic]` of log focal length and, where it is estimated, k1, from what was
         given. sigma: `[view, intrinsic]` standard deviation of the changes.
+    overconfidence: `[view, intrinsic]` by how much their variance is larger than that of
+        independent errors.
     """
 
     rig: CameraRig
@@ -82,6 +86,7 @@ class Estimate:
     matches: Matches
     change: Floats
     sigma: Floats
+    overconfidence: Floats
 
     @property
     def cameras(self) -> tuple[EstimatedCamera, ...]:
@@ -125,33 +130,59 @@ def estimate_intrinsics(
         config = replace(config, intrinsics=replace(settings, focal_per_camera=True))
         found = settle(found, config=config)
     if settings.refine == "focal+k1":
-        with_k1 = replace(found, change=np.pad(found.change, ((0, 0), (0, 1))))
+        with_k1 = replace(
+            found,
+            change=np.pad(found.change, ((0, 0), (0, 1))),
+            overconfidence=np.repeat(found.overconfidence, 2, axis=1),
+        )
         with_k1 = settle(with_k1, config=config)
         if (np.abs(with_k1.change) / with_k1.sigma)[:, 1].max() > settings.significance:
             found = with_k1
     return found.cameras
 
 
-def _start(sample: Sample, rig: CameraRig, matches: Matches, config: IntrinsicsConfig) -> Estimate:
+def _start(sample: Sample, rig: CameraRig, matches: Matches, config: IntrinsicsConfig) -> _Estimate:
     """Return the focal lengths that were given, as the start of their estimate."""
     none = np.zeros((len(sample.cameras), 1))
-    return Estimate(rig, sample, matches, change=none, sigma=none + config.focal_uncertainty)
+    return _Estimate(
+        rig=rig,
+        sample=sample,
+        matches=matches,
+        change=none,
+        sigma=none + config.focal_uncertainty,
+        overconfidence=none + config.overconfidence,
+    )
+
+
+@dataclass(frozen=True)
+class FreeFocal:
+    """A rig adjusted with free focal lengths.
+
+    change, sigma: `[view]` of the logarithms of the focal lengths.
+    rig: its cameras are those that were given.
+    """
+
+    change: Floats
+    sigma: Floats
+    rig: CameraRig
 
 
 def free_focal_lengths(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config
-) -> Estimate:
+) -> FreeFocal:
     """Return what each focal length would change by if it were free, and how the rig would.
 
-    For a rig that has been adjusted with the focal lengths that were given, which its cameras keep.
-    Right ones change by no more than a few standard deviations, which are 1 to 2 % in rigs of four
-    views and far more in those of two.
+    For a rig that has been adjusted with the focal lengths that were given. Right ones change by no
+    more than a few standard deviations, which are 1 to 2 % in rigs of four views and far more in
+    those of two.
 
-    Raises as `choose_problem` does.
+    Raises as `refine.adjust` does.
     """
     alone = replace(IntrinsicsConfig(), refine="focal", focal_per_camera=True)
     start = _start(sample, rig, matches, alone)
-    return _adjust(start, sample.cameras, replace(config, intrinsics=alone), already_close=True)
+    free = replace(config, intrinsics=alone)
+    found, state = _adjust(start, sample.cameras, free, already_close=True)
+    return FreeFocal(found.change[:, 0], found.sigma[:, 0], placed_as(rig, state))
 
 
 def shared_intrinsics(cameras: tuple[Camera, ...], config: IntrinsicsConfig) -> Ints:
@@ -166,7 +197,7 @@ def shared_intrinsics(cameras: tuple[Camera, ...], config: IntrinsicsConfig) -> 
     return np.asarray(alike.argmax(1), dtype=np.int64)  # the first one of that size
 
 
-def _lenses_differ(found: Estimate, config: Config) -> bool:
+def _lenses_differ(found: _Estimate, config: Config) -> bool:
     """Return whether cameras of equal image size certainly have unlike focal lengths."""
     if config.intrinsics.focal_per_camera:
         return False
@@ -178,8 +209,8 @@ def _lenses_differ(found: Estimate, config: Config) -> bool:
 
 
 def _settle(
-    found: Estimate, *, given: Sample, config: Config, lifted: LiftedPoses, progress: Progress
-) -> Estimate:
+    found: _Estimate, *, given: Sample, config: Config, lifted: LiftedPoses, progress: Progress
+) -> _Estimate:
     """Adjust, take the rays anew and match again, until the focal lengths stay.
 
     given: the sample with the intrinsics that were given.
@@ -188,9 +219,10 @@ def _settle(
     still = np.deg2rad(config.adjust.still_deg)  # a ray turns by no more than the focal length
     for done in range(1, rounds + 1):
         before = found
-        found = _adjust(found, given.cameras, config, already_close=done > 1)
-        cameras = changed_cameras(given.cameras, found.change)
-        rig, sample = replace(found.rig, cameras=cameras), with_cameras(given, cameras)
+        found, state = _adjust(found, given.cameras, config, already_close=done > 1)
+        cameras = changed_cameras(given.cameras, state.intrinsics)
+        rig = placed_as(replace(found.rig, cameras=cameras), state)
+        sample = with_cameras(given, cameras)
         matches = associate(sample, lifted, rig, config, progress=silent)
         found = replace(found, rig=rig, sample=sample, matches=matches)
         progress("intrinsics", done, rounds)
@@ -201,28 +233,72 @@ def _settle(
 
 
 def _adjust(
-    found: Estimate, given: tuple[Camera, ...], config: Config, *, already_close: bool
-) -> Estimate:
+    found: _Estimate, given: tuple[Camera, ...], config: Config, *, already_close: bool
+) -> tuple[_Estimate, State]:
     """Adjust poses and intrinsics together to the detections that are matched.
 
+    Returns the estimate with other changes of the intrinsics, and the state.
     already_close: the estimate follows another such adjustment.
     """
     settings, intrinsics = config.intrinsics, found.change.shape[1]
     budget = config.uncertainty.points if already_close else None
     problem = choose_problem(found.sample, found.rig, found.matches, config, points=budget)
-    seen, last = problem.pixels(given), problem.loss_scale
+    seen = problem.pixels(given)
     prior = np.array([settings.focal_uncertainty, settings.k1_uncertainty])[:intrinsics]
-    free = free_parameters(shared_intrinsics(given, settings), np.tile(prior, (len(given), 1)))
+    # detections weigh as if they erred independently: the prior weighs more by the same factor
+    prior = prior / np.sqrt(found.overconfidence)
+    free = free_parameters(shared_intrinsics(given, settings), prior)
     start = problem.start(found.change)
-    state = solve(start, seen, free, config.adjust, last=last, already_close=already_close)
-    state = optimise_points(state, seen, loss_scale=last)
-    covariance = find_covariance(problem, state, seen, free, config)
-    # what is known beforehand has its part in it, as detections do
-    alone, known = covariance.independent, free.basis.T @ free.prior(state.intrinsics)[0].ravel()
-    variance = np.diag(covariance.cautious + (alone * known) @ alone)
-    return replace(
-        found,
-        rig=placed_as(found.rig, state),
-        change=state.intrinsics,
-        sigma=np.sqrt(variance[free.intrinsics]),
+    state = solve(
+        start,
+        seen,
+        free,
+        config.adjust,
+        last=problem.loss_scale,
+        already_close=already_close,
     )
+    state = optimise_points(state, seen, loss_scale=problem.loss_scale)
+    covariance = find_covariance(problem, state, seen, free, config)
+    estimate = replace(
+        found,
+        change=state.intrinsics,
+        sigma=_sigma(covariance, free, found.overconfidence),
+        overconfidence=_overconfidence(covariance, free),
+    )
+    return estimate, state
+
+
+def _overconfidence(covariance: Covariance, free: Parameters) -> Floats:
+    """Return by how much the variance of intrinsics is larger than that of independent errors.
+
+    `[view, intrinsic]`, of what the detections alone say: with s the scatter of an unknown's
+    gradient and h its curvature, both with all other unknowns eliminated, the variances are
+    s / h^2 and 1 / h.
+    """
+    own = free.intrinsics
+    variance = np.diag(covariance.independent)[own]
+    scatter = np.diag(covariance.cautious)[own] / variance**2
+    curvature = 1 / variance - _prior(free)
+    return np.clip(scatter / np.maximum(curvature, 1e-12), 1.0, _MOST_OVERCONFIDENCE)
+
+
+def _sigma(covariance: Covariance, free: Parameters, overconfidence: Floats) -> Floats:
+    """Return the standard deviation `[view, intrinsic]` of intrinsics after the adjustment.
+
+    Detections and what is known beforehand both have their part in it. The latter was made to
+    weigh more by the factor of the overconfidence, so its gradient scatters by that factor more
+    than it weighs.
+    """
+    own = free.intrinsics
+    prior = np.zeros(len(covariance.independent))
+    prior[own] = _prior(free) * overconfidence
+    whole = covariance.cautious + (covariance.independent * prior) @ covariance.independent
+    return np.sqrt(np.diag(whole)[own])
+
+
+def _prior(free: Parameters) -> Floats:
+    """Return the inverse variance `[view, intrinsic]` that intrinsics had in the adjustment."""
+    own = free.intrinsics
+    whole = np.zeros(free.basis.shape[1])
+    np.add.at(whole, own, free.precision)  # each view has its part
+    return whole[own]

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib.adjust.covariance import rig_covariance
-from mocap_calib.adjust.intrinsics import Estimate, free_focal_lengths, shared_intrinsics
+from mocap_calib.adjust.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
 from mocap_calib.adjust.refine import (
     adjust_once,
     find_outlier_cameras,
@@ -300,7 +300,7 @@ def assess_uncertainty(
     change, sigma = np.full((2, len(rig.cameras)), np.nan)
     # what was estimated is not found to be wrong
     if free is not None and not any(isinstance(each, EstimatedCamera) for each in rig.cameras):
-        change, sigma = free.change[:, 0], free.sigma[:, 0]
+        change, sigma = free.change, free.sigma
     tells = len(labelled_frames(matches)) >= config.uncertainty.time_blocks
     return Uncertainty(
         covariance=covariance.with_changes(off),
@@ -315,7 +315,7 @@ def assess_uncertainty(
 
 def _free_focal(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config
-) -> Estimate | None:
+) -> FreeFocal | None:
     """Return the rig with free focal lengths, None where nothing more can be said.
 
     That is where each was estimated by itself, and where nothing goes with free ones.
@@ -330,7 +330,7 @@ def _free_focal(
         return None
 
 
-def given_focal_change(rig: CameraRig, free: Estimate, config: UncertaintyConfig) -> Floats:
+def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfig) -> Floats:
     """Return by how much `[view, 6]` cameras may be off because of focal lengths held fixed.
 
     What the rig changes by when they are free, less what right ones change by: chance, and what is
@@ -386,7 +386,7 @@ def find_wrong_focal(change: Floats, sigma: Floats, config: Config) -> Bools:
     certain by itself, and by changes of all cameras alike, which are less uncertain together. At 3
     standard deviations in place of 4, sound cameras were named in seven damaged copies of shelf.
 
-    change, sigma: `[view]` of their logarithms, as of `Estimate`; NaN = not known.
+    change, sigma: `[view]` of their logarithms, as of `FreeFocal`; NaN = not known.
     """
     uncertain = np.hypot(sigma, config.uncertainty.focal_systematic / 2)
     certain = np.abs(change) > config.triangulate.outlier * uncertain

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from scenes import adjust_twice, lifted, recording, rotation_errors_deg, scene, truth, turn_cameras
 
+from mocap_calib.adjust.covariance import Covariance
 from mocap_calib.adjust.intrinsics import (
+    _overconfidence,
+    _sigma,
     estimate_intrinsics,
     free_focal_lengths,
     shared_intrinsics,
 )
+from mocap_calib.adjust.problem import free_parameters
+from mocap_calib.adjust.solve import Parameters
 from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.pipeline import calibrate
@@ -99,6 +104,30 @@ def test_the_sigma_is_right():
     assert 0.5 < np.sqrt((independent**2).mean()) < 1.3
 
 
+def certain_of(repeats: float, *, own: float) -> tuple[Covariance, Parameters]:
+    """Two views that share a focal length, whose detections alone give it a variance of `own`.
+
+    They come in groups of equal ones, so that their gradients scatter `repeats` times as much.
+    """
+    freedom = free_parameters(np.array([0, 0]), np.full((2, 1), 0.5))
+    curvature = np.eye(7) * np.array([*[3.0] * 6, 1 / own])
+    prior = np.diag([*[0.0] * 6, 0.5**-2])
+    bread = np.linalg.inv(curvature + prior)
+    sandwich = bread @ (repeats * curvature) @ bread
+    return Covariance(bread, by_time=sandwich, by_joint=0 * sandwich, once=1.0), freedom
+
+
+def test_detections_that_come_many_times_count_once():
+    """The factor is found whatever is known beforehand, and the sigma is that of both together."""
+    for repeats, expected in ((9.0, 9.0), (0.2, 1.0)):
+        found = _overconfidence(*certain_of(repeats, own=0.01))
+        np.testing.assert_allclose(found, np.full((2, 1), expected), rtol=1e-9)
+    covariance, freedom = certain_of(9.0, own=0.01)
+    # what was known beforehand was made to count 9 times, as the detections do
+    sigma = _sigma(covariance, freedom, np.full((2, 1), 9.0))
+    np.testing.assert_allclose(sigma, 3 / np.sqrt(1 / 0.01 + 0.5**-2), rtol=1e-9)
+
+
 def test_what_is_known_beforehand_counts():
     """Focal lengths said to be good to 0.1 % stay, although the recording says otherwise."""
     (found, *_), (true, *_) = estimated(replace(FOCAL, focal_uncertainty=0.001), **SMALL)
@@ -182,12 +211,12 @@ def test_a_wrong_focal_length_is_found_and_right_ones_are_not_accused():
         start = replace(scene(**changes).rig, cameras=cameras)
         rig = adjust_twice(seen, start, truth(**changes), config)
         free = free_focal_lengths(seen, rig, truth(**changes), config)
-        found = find_wrong_focal(free.change[:, 0], free.sigma[:, 0], config)
+        found = find_wrong_focal(free.change, free.sigma, config)
         assert np.flatnonzero(found).tolist() == expected
         turns.append(
             np.linalg.norm(given_focal_change(rig, free, config.uncertainty)[:, :3], axis=1)
         )
-    assert free.change[2, 0] == pytest.approx(-np.log(1.2), abs=0.06)
+    assert free.change[2] == pytest.approx(-np.log(1.2), abs=0.06)
     error = rotation_errors_deg(rig, start)
     assert np.rad2deg(turns[0].max()) < 0.2
     assert np.rad2deg(turns[1].max()) > 0.4 * error.max()
