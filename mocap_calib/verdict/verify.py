@@ -220,23 +220,33 @@ def _compare(
     Moved cameras are where the adjustment has them, or where they were given with another focal
     length, if their images fit that as well. Of two cameras it is not known where they are.
     """
-    given, views, cameras = placed.rig, np.arange(len(placed.rig)), []
+    given, cameras = placed.rig, []
     size, moved = rig_size(given), change.moved & (len(given) > 2)
     determined = np.rad2deg(change.sigma[:, 0]) < VERDICT_LIMITS_DEG[2]
     now = given
     for view in np.flatnonzero(moved).tolist():
         now = _with_camera(now, view, given.cameras[view], pose_of(change.refitted, view))
     by_moves = now
+    frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
+    seen = gather_tracks(sample, placed.matches, frames)
+    # rays may miss points by as much as in an adjustment: the rig may be a little off for all
+    outlier = config.adjust.outlier
+    loose = replace(config, triangulate=replace(config.triangulate, outlier=outlier))
     for view, name in enumerate(given.names):
-        others = (views != view) | (len(views) == 2)
-        known = _placed_points(sample, replace(placed, rig=by_moves), view, others, config)
+        without, by_others = (view if len(given) > 2 else None), replace(placed, rig=by_moves)
+        bodies = place_bodies(sample, by_others, frames, loose, seen=seen, without=without)
+        points, pixels = bodies.reshape(-1, 3), seen.pixels[view].T
+        both = np.isfinite(points[:, 0]) & np.isfinite(pixels[:, 0])
+        known = points[both], pixels[both]
         word: PlaceWord = "in place" if determined[view] else "not checked"
         focal, error = 0.0, _median_error(*known, by_moves, view)
         if change.moved[view]:
-            word, camera = "moved", _zoomed(*known, given, view)
+            word = "moved"
+        if moved[view]:
+            camera = _zoomed(*known, given, view)
             zoomed = _with_camera(now, view, camera, pose_of(given, view))
             other = _median_error(*known, zoomed, view)
-            if moved[view] and other <= config.uncertainty.same_misfit * error:
+            if other <= config.uncertainty.same_misfit * error:
                 word, now, error = "focal", zoomed, other
                 focal = float(np.log(camera.focal / given.cameras[view].focal))
         (turn, shift), (turn_sigma, shift_sigma) = (change.size[view], change.sigma[view])
@@ -254,24 +264,6 @@ def _compare(
         )
         cameras.append(camera_found)
     return cameras, now
-
-
-def _placed_points(
-    sample: Sample, placed: PlacedCameras, view: int, trusted: Bools, config: Config
-) -> tuple[Floats, Floats]:
-    """Return the points `[N, 3]` that trusted views place, and where a view saw them `[N, 2]`.
-
-    Rays may miss points by as much as in an adjustment: the rig may be a little off for all.
-    """
-    loose = replace(config.triangulate, outlier=config.adjust.outlier)
-    config = replace(config, triangulate=loose)
-    frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
-    seen = gather_tracks(sample, placed.matches, frames)
-    theirs = replace(seen, weight=np.where(trusted[:, None], seen.weight, 0.0))
-    points = place_bodies(sample, placed, frames, config, seen=theirs).reshape(-1, 3)
-    pixels = seen.pixels[view].T
-    both = np.isfinite(points[:, 0]) & np.isfinite(pixels[:, 0])
-    return points[both], pixels[both]
 
 
 def _median_error(points: Floats, pixels: Floats, rig: CameraRig, view: int) -> float:
