@@ -149,8 +149,13 @@ def gather_tracks(recording: Recording, matches: Matches, frames: Ints) -> Track
     Those that a lens model cannot undistort have no weight. N = frames x individuals x keypoints,
     in that order.
     """
-    pixels, confidence = matched_pixels(recording, matches, frames)
-    views, shape = len(pixels), confidence.shape[1:]
+    part, labels = recording.select(frames=frames), matches.labels[:, frames]
+    view, at, instance = np.nonzero(labels >= 0)
+    own = view, at, labels[view, at, instance]
+    views, shape = len(labels), (len(frames), matches.individuals, len(recording.keypoints))
+    pixels, confidence = np.full((views, *shape, 2), np.nan), np.zeros((views, *shape))
+    pixels[own] = part.positions[view, at, instance]
+    confidence[own] = part.confidence[view, at, instance]
     pixels = pixels.reshape(views, -1, 2)
     rays = lens.unproject_views(recording.cameras, pixels, by_component=True)
     frame, individual, keypoint = (index.ravel() for index in np.indices(shape))
@@ -162,24 +167,6 @@ def gather_tracks(recording: Recording, matches: Matches, frames: Ints) -> Track
         individual=individual,
         keypoint=keypoint,
     )
-
-
-def matched_pixels(recording: Recording, matches: Matches, frames: Ints) -> tuple[Floats, Floats]:
-    """Return the detections of all individuals in some frames (`[frame]` indices).
-
-    Pixels `[view, frame, individual, keypoint, 2]`, NaN = missing, and the confidence, 0 = missing.
-    """
-    labels = matches.labels[:, frames]
-    view, frame, instance = np.nonzero(labels >= 0)
-    individual = labels[view, frame, instance]
-    views, keypoints = len(recording.cameras), len(recording.keypoints)
-    shape = (views, len(frames), matches.individuals, keypoints)
-    pixels = np.full((*shape, 2), np.nan)
-    confidence = np.zeros(shape)
-    part = recording.select(frames=frames)
-    pixels[view, frame, individual] = part.positions[view, frame, instance]
-    confidence[view, frame, individual] = part.confidence[view, frame, instance]
-    return pixels, confidence
 
 
 def labelled_frames(matches: Matches) -> Ints:
