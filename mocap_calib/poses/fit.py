@@ -115,7 +115,7 @@ def covariances(
     losses = (strengths.loss, config.prior_loss)
     packed.share_accelerations(config)
     pose_energy.sum_known(*packed.terms, packed.expected, *losses, packed.factor)
-    packed.factor_bands(np.zeros_like(packed.terms[2]), config.prior_loss)
+    packed.factor_bands(np.zeros_like(packed.points), config.prior_loss)
     found = np.zeros((*packed.factor.shape[:2], 6 * LANES))
     pose_bands.invert_bands(packed.factor, found)
     return _unpack(found, *points.shape[:2])
@@ -244,6 +244,11 @@ class _Packed:
     expected: Floats
     factor: Floats
 
+    @property
+    def points(self) -> Floats:
+        """The points of the track."""
+        return self.terms[2]
+
     def share_accelerations(self, config: PosesConfig) -> None:
         """Set the acceleration that the joints share at the points.
 
@@ -254,13 +259,13 @@ class _Packed:
             known = self.joints * config.shared_acceleration
             part = known / (1 + known)
             pose_energy.share_accelerations(
-                self.terms[2], self.steps, self.joints, ROUNDS, part, self.expected
+                self.points, self.steps, self.joints, ROUNDS, part, self.expected
             )
 
     def factor_bands(self, gradient: Floats, prior_loss: float) -> None:
         """Add accelerations to the blocks and the gradient, and factor the bands."""
         pose_bands.factor_bands(
-            self.terms[2], self.steps, self.expected, prior_loss, self.factor, gradient
+            self.points, self.steps, self.expected, prior_loss, self.factor, gradient
         )
 
 
