@@ -119,7 +119,8 @@ class Residuals:
 
     def _block(self, points: slice) -> "Block":
         """Return a block of points."""
-        views = np.flatnonzero((self.weight[:, points] > 0).any(1))
+        sees = (self.weight[:, points] > 0).any(1)
+        views = np.flatnonzero(sees | ~sees.any())  # all where none sees any: no array is empty
         own = self.seen[views, :, points], self.weight[views, points]
         seen, weight, metric = contiguous(*own, self.metric[views, :, :, points])
         cameras = tuple(self.cameras[view] for view in views if self.cameras)
