@@ -339,7 +339,7 @@ def test_gradient_of_the_geometric_loss():
 
 def test_the_whole_system_is_a_loss_of_the_same_minimiser(benchmark):
     """Both forms are zero at the truth, and descent from the same start ends there with either."""
-    system = benchmark("protocol_full_system")
+    system = benchmark("paper.full_system")
     vector, _, rays_a, rays_b = two_views(7)
     weight = torch.ones(7).double()
     assert torch.autograd.gradcheck(
@@ -370,7 +370,7 @@ def test_the_whole_system_without_its_points_is_the_small_one_but_for_weights(be
     """min over the points of |A [x t]|^2 is t' S t, S = sum (1 + 1 / (2 |n|^2)) n n', at any R."""
     vector, _, rays_a, rays_b = two_views(7)
     rotation = matrix_from_vector(vector + 0.3)
-    system = benchmark("protocol_full_system").collinearity_system(rotation, rays_a, rays_b)
+    system = benchmark("paper.full_system").collinearity_system(rotation, rays_a, rays_b)
     square = system.T @ system
     inner, mixed, outer = square[:-3, :-3], square[:-3, -3:], square[-3:, -3:]
     schur = outer - mixed.T @ torch.linalg.solve(inner, mixed)
@@ -394,7 +394,7 @@ def test_the_solver_takes_the_whole_system_as_well(benchmark):
             torch.Generator().manual_seed(0),
             start=start,
         ).rotation
-        for loss in (benchmark("protocol_full_system").full_geometric_loss, geometric_loss)
+        for loss in (benchmark("paper.full_system").full_geometric_loss, geometric_loss)
     )
     before, *after = (
         np.degrees(angle_between(each, matrix_numpy(vector.numpy())))

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from protocol_methods import Found, Problem
-from protocol_scenes import Truth
 
 from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.types import CameraRig, Floats
+
+from .methods import Found, Problem
+from .scenes import Truth
 
 FAILED = 180.0  # degrees: what no answer counts as
 

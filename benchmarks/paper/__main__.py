@@ -1,14 +1,12 @@
-"""Make the tables and figures of the paper: two views, identities unknown, all methods alike.
+"""Measure the tables of the SteerPose paper and draw its figures, all methods alike.
 
-    .venv/bin/python benchmarks/paper.py --poses POSES --recordings RECORDINGS [PART ...]
+    .venv/bin/python -m benchmarks.paper --poses POSES --recordings RECORDINGS [PART ...]
 
-All cells take an hour or two of a core, and it goes on where it stopped; `--quick` takes few pairs
-and minutes, and leaves the pages as they are; `--tables` measures nothing. PART is a cell's name,
-or a part of it: `--list` prints them, and what each will take. These two options need no data. What
-is measured of a cell is a line of JSON in a file (`--results`), and a cell that is there is
-measured again only with `--again`. The tables follow from that file alone: they go to stdout and,
-but for --quick, between the markers of the pages (`--page`). Figures go to a folder (`--out`).
-Poses are of subjects that were held out; references are read by the judge, never by the methods.
+All cells take an hour or two of one core. A result is a line of JSON in `--results`; a cell that is
+there is skipped without `--again`, so a stopped run continues. PART selects cells by a part of
+their name. `--list` prints the cells and their costs, `--tables` makes the tables from the results
+alone; these two need no data. `--quick` takes few pairs and minutes, and writes no page. Poses are
+of held-out subjects; only the judge reads references.
 """
 
 import argparse
@@ -22,16 +20,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from paper_cells import QUICK, WHOLE, Cell, Data, Line, Sizes, measure, plan
-from paper_tables import all_tables, insert_tables
-from recording_folders import add_recordings
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
 
-ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "benchmarks" / "paper_results.jsonl"
-PAGES = [ROOT / "docs" / f"{name}.md" for name in ("benchmarks", "comparison")]
+from ..recording_folders import add_recordings
+from .cells import QUICK, WHOLE, Cell, Data, Line, Sizes, measure, plan
+from .tables import all_tables, insert_tables
+
+RESULTS = Path(__file__).with_name("results.jsonl")
+PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"
 STOPPED = 130  # status after an interrupt
 
 
@@ -48,10 +46,9 @@ def main() -> None:
     lines = read_results(options.results)
     print(all_tables(lines))
     if not options.quick:
-        for page in options.pages or PAGES:
-            text = insert_tables(page.read_text("utf-8"), lines)
-            page.write_text(text, "utf-8", newline="\n")
-            tell(f"the tables of {page} are written")
+        text = insert_tables(options.page.read_text("utf-8"), lines)
+        options.page.write_text(text, "utf-8", newline="\n")
+        tell(f"wrote the tables of {options.page}")
     if not options.tables:
         draw(data_of(options), options)
     sys.exit(0 if done else 1)
@@ -77,9 +74,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--results", type=Path, help=f"default: {RESULTS.name}; with --quick, in the folder --out"
     )
-    parser.add_argument(
-        "--page", type=Path, action="append", dest="pages", help="default: those of docs/"
-    )
+    parser.add_argument("--page", type=Path, default=PAGE, help="default: docs/benchmarks.md")
     options = parser.parse_args()
     measures = not (options.list or options.tables)
     if measures and None in (options.poses, options.recordings):
@@ -207,7 +202,7 @@ def read_results(path: Path) -> list[Line]:
 def draw(data: Data, options: argparse.Namespace) -> None:
     """Draw the figures, where matplotlib is there."""
     try:
-        from paper_figures import draw_all  # noqa: PLC0415 - an extra
+        from .figures import draw_all  # noqa: PLC0415 - an extra
     except ModuleNotFoundError as error:
         tell(f"no figures: {error.name} is missing; pip install 'mocap-calib[figures]'")
         return

@@ -7,13 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from generalisation import conditions, turned
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
-from paper_cells import RIG_FRAMES, RIG_VIEWS, SEED, Data, scenes
-from protocol_methods import METHODS, Problem, load_models
-from protocol_scenes import KINDS
 
 from mocap_calib.geometry.rotation import align_by_similarity
 from mocap_calib.pipeline import calibrate
@@ -23,6 +19,11 @@ from mocap_calib.training.poses import load_poses
 from mocap_calib.training.synthesis import Synthesiser
 from mocap_calib.types import Floats
 from mocap_calib.verdict.evaluation import with_axes
+
+from .cells import RIG_FRAMES, RIG_VIEWS, SEED, Data, scenes
+from .methods import METHODS, Problem, load_models
+from .networks import conditions, turned
+from .scenes import KINDS
 
 SHOWN = ("people", "dog", "mouse")
 TURNS_DEG = (0, 45, 90, 135, 180)

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
-from protocol_full_system import full_geometric_loss
-from protocol_rivals import LiftedPair, adjust, lifted_pair, procrustes, sphere
 
 from mocap_calib.config import FIVE_POINT_CONFIDENCE, LEAST_FORWARD, PairwiseConfig
 from mocap_calib.geometry.epipolar import pose_from_essential
@@ -30,6 +28,9 @@ from mocap_calib.paper.solver import PaperConfig, TwoViews, solve_pairs
 from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
 from mocap_calib.training.model import LifterModule, Model, load_steerer
 from mocap_calib.types import Bools, Floats, Sample, Skeleton, silent
+
+from .full_system import full_geometric_loss
+from .rivals import LiftedPair, adjust, lifted_pair, procrustes, sphere
 
 TIMED = 1  # pairs that the paper's solver does alone, to know its seconds
 BATCH = 50  # of the others

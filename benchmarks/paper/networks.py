@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from protocol_scenes import Kind
 
 from mocap_calib.recording.joints import load_section, load_skeleton
 from mocap_calib.training import TrainConfig
@@ -20,6 +19,8 @@ from mocap_calib.training.poses import load_poses
 from mocap_calib.training.synthesis import Batch, Synthesiser
 from mocap_calib.training.train import train_lifter, training_config
 from mocap_calib.types import silent
+
+from .scenes import Kind
 
 EXAMPLES = 4096
 

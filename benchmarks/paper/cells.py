@@ -12,12 +12,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from generalisation import displacements
-from machines import describe_machine, describe_moment
-from protocol_judge import FAILED, Judged, judge, rig_errors
-from protocol_methods import METHODS, Problem, load_models
-from protocol_recordings import RECORDINGS, real_pairs
-from protocol_scenes import KINDS, Subjects, Truth, misplace, scene
 
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
@@ -25,6 +19,13 @@ from mocap_calib.lift.lifter import shipped_weights
 from mocap_calib.pipeline import calibrate
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, Sample, silent
+
+from ..machines import describe_machine, describe_moment
+from .judge import FAILED, Judged, judge, rig_errors
+from .methods import METHODS, Problem, load_models
+from .networks import displacements
+from .recordings import RECORDINGS, real_pairs
+from .scenes import KINDS, Subjects, Truth, misplace, scene
 
 Line = dict[str, Any]
 Group = Literal["pairs", "detections", "networks", "rigs"]

@@ -4,8 +4,6 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from protocol_methods import Problem
-from protocol_scenes import Truth
 
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
@@ -13,6 +11,9 @@ from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import CameraRig, Ints, Recording
+
+from .methods import Problem
+from .scenes import Truth
 
 # whose detections they are: the shipped network that lifts them
 RECORDINGS = {

@@ -1,0 +1,1 @@
+"""The protocol, tables and figures of the SteerPose paper."""
