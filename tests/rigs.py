@@ -1,4 +1,4 @@
-"""Rigs of all kinds, as a strategy, when two of them are the same, and how sure one may be."""
+"""Rigs of all kinds, as a strategy, and when two of them are the same."""
 
 from dataclasses import replace
 
@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import strategies as st
 
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.results import RigCovariance, Uncertainty
 from mocap_calib.types import Camera, CameraRig
 
 LENGTHS = (0, 4, 5, 8)
@@ -78,20 +77,3 @@ def assert_same(rig, back, *, sizes=True, names=True, scale=1.0):
 def with_unit(rig, unit):
     """The same numbers in another unit."""
     return replace(rig, unit=unit)
-
-
-def uncertainty(
-    degrees: float, *, views: int = 3, outliers: tuple[int, ...] = (), focal: bool = False
-) -> Uncertainty:
-    """Return the uncertainty of a rig whose last camera may be turned by so many degrees."""
-    matrix = np.zeros((views, 6, views, 6))
-    matrix[-1, 0, -1, 0] = np.deg2rad(degrees) ** 2
-    return Uncertainty(
-        covariance=RigCovariance(matrix=matrix, size=1.0),
-        intrinsics_turn=np.zeros(views),
-        outlier_cameras=np.isin(np.arange(views), outliers),
-        weak_perspective=np.zeros(views, dtype=bool),
-        focal_change=np.zeros(views),
-        focal_sigma=np.ones(views),
-        wrong_focal=np.array([focal] * views),
-    )

@@ -6,6 +6,7 @@ from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mocap_calib.adjust.refine import adjust_once
 from mocap_calib.config import Config
@@ -22,6 +23,7 @@ from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import Camera, CameraRig, Recording, Sample, silent
 
 PEOPLE = load_skeleton("people")
+AXIS = np.array([0.48, 0.6, 0.64])  # about which cameras are turned
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
@@ -34,6 +36,11 @@ def scene(**changes) -> Scene:
 def recording(**changes) -> Sample:
     made = scene(**changes)
     return take_sample(make_recording(made.files, made.rig.cameras, PEOPLE, {}), slice(None))
+
+
+def sample_of(found: Recording, frames: np.ndarray | slice = slice(None)) -> Sample:
+    """Return some frames (indices) of a recording, with their rays."""
+    return take_sample(found, frames)
 
 
 def permuted(found: Sample, *, views=None, frames=None, instances=None) -> Sample:
@@ -106,6 +113,11 @@ def calibrated(**changes) -> GroupResult:
     return calibrate_group(recording(**changes))
 
 
+def with_labels(group: GroupResult, labels: np.ndarray) -> GroupResult:
+    """Return a group whose detections have other labels `[view, frame, instance]`."""
+    return replace(group, matches=replace(group.matches, labels=labels))
+
+
 def truth(**changes) -> Matches:
     """The true identities as labels."""
     return Matches(scene(**changes).identity.astype(np.int64))
@@ -145,6 +157,16 @@ def turn_cameras(rig: CameraRig, degrees: float, seed: int = 0) -> CameraRig:
     axis[0] = 0
     rotation = matrix_from_vector(axis) @ rig.rotation
     return rig.stand(rotation, rig.centres)
+
+
+def turn_camera(
+    rig: CameraRig, view: int, degrees: float, *, shift: ArrayLike = (0.0, 0.0, 0.0)
+) -> CameraRig:
+    """Turn one camera about its centre, and shift that."""
+    rotation, translation = rig.rotation.copy(), rig.translation.copy()
+    rotation[view] = matrix_from_vector(np.deg2rad(degrees) * AXIS) @ rotation[view]
+    translation[view] = -rotation[view] @ (rig.centres[view] + shift)
+    return replace(rig, rotation=rotation, translation=translation)
 
 
 def adjust_twice(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> CameraRig:
