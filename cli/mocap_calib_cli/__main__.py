@@ -7,7 +7,6 @@ import sys
 from typing import NoReturn
 
 from mocap_calib.compute import keep_freed_memory
-from mocap_calib_cli.main import main
 
 # objects made before they are searched for cycles, of which there are next to none: Python's own
 # number costs a tenth of a second for each three seconds of work
@@ -18,6 +17,11 @@ def run() -> None:
     """Run the command in a process that ends with it."""
     gc.set_threshold(_OBJECTS_OF_A_SEARCH)
     keep_freed_memory()
+    try:
+        from mocap_calib_cli.main import main
+    except Exception as error:  # in click, the one package that is imported here
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        sys.exit(f"wrong: click cannot be imported ({reason}); install it again")
     try:
         main()
     except SystemExit as end:
