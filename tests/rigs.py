@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
-from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.geometry.rotation import Similarity, matrix_from_vector
 from mocap_calib.types import Camera, CameraRig
 
 LENGTHS = (0, 4, 5, 8)
@@ -77,3 +77,33 @@ def assert_same(rig, back, *, sizes=True, names=True, scale=1.0):
 def with_unit(rig, unit):
     """The same numbers in another unit."""
     return replace(rig, unit=unit)
+
+
+def unit(vectors: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Return vectors of length 1."""
+    return vectors / np.linalg.norm(vectors, axis=axis, keepdims=True)
+
+
+def random_rotations(rng: np.random.Generator, count: int, largest: float = np.pi) -> np.ndarray:
+    """Return rotations `[count, 3, 3]` about random axes, by up to `largest` radians."""
+    axis = unit(rng.normal(size=(count, 3)))
+    return matrix_from_vector(axis * rng.uniform(0, largest, (count, 1)))
+
+
+def rig_looking_at_origin(centres) -> CameraRig:
+    """Return upright cameras at centres `[view, 3]` that look at the origin."""
+    centres = np.array(centres, dtype=np.float64)
+    forward = -unit(centres)
+    right = unit(np.cross(forward, [0.0, 0.0, 1.0]))
+    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+    matrix = np.array([[1000.0, 0, 500], [0, 1000, 500], [0, 0, 1]])
+    cameras = tuple(Camera(str(k), (1000, 1000), matrix) for k in range(len(centres)))
+    return CameraRig(cameras, rotation, -np.einsum("vij,vj->vi", rotation, centres), "m")
+
+
+def similar(rig: CameraRig, rng: np.random.Generator) -> tuple[CameraRig, Similarity]:
+    """Return the rig in a world of other axes and another unit, and how points move into it."""
+    turn, factor, shift = random_rotations(rng, 1)[0], rng.uniform(0.1, 10), rng.normal(size=3)
+    rotation = rig.rotation @ turn.T
+    translation = factor * rig.translation - rotation @ shift
+    return replace(rig, rotation=rotation, translation=translation), Similarity(factor, turn, shift)

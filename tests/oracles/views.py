@@ -1,5 +1,7 @@
 """Definitions in plain numpy, point by point, of what kernels compute from rays of many views."""
 
+from itertools import combinations
+
 import numpy as np
 
 from mocap_calib.config import (
@@ -9,9 +11,8 @@ from mocap_calib.config import (
     INTERSECT_OUTLIER,
     INTERSECT_STEPS,
     INTERSECT_TIGHTENING_SCALES,
+    SMALL_RIG,
 )
-from mocap_calib.geometry.intersection import _candidate_pairs
-from mocap_calib.geometry.lens import project
 from mocap_calib.types import CameraRig, Floats
 
 
@@ -71,6 +72,17 @@ def intersect_point(centres: Floats, rays: Floats, precision: Floats, pairs) -> 
     return refine(candidates[np.argmin(costs)], *given, [loss] * INTERSECT_STEPS)
 
 
+def candidate_pairs(views: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Return the pairs of views that give candidates, and those for points that these miss.
+
+    All of a small rig. Of a large one: a view with the next one, and with the one a third away.
+    """
+    pairs = list(combinations(range(views), 2))
+    apart = (1, views - 1, views // 3, views - views // 3)
+    first = [pair for pair in pairs if views <= SMALL_RIG or pair[1] - pair[0] in apart]
+    return first, [pair for pair in pairs if pair not in first]
+
+
 def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
     """Return the points `[3, N]` nearest to rays; NaN where fewer than two are seen."""
     points = np.full(world.shape[1:], np.nan)
@@ -80,7 +92,7 @@ def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
             row = dict(zip(np.flatnonzero(seen).tolist(), range(seen.sum()), strict=True))
             first, others = (
                 [[row[a], row[b]] for a, b in pairs if a in row and b in row]
-                for pairs in _candidate_pairs(len(rig))
+                for pairs in candidate_pairs(len(rig))
             )
             given = rig.centres[seen] - middle, world[seen, :, n], precision[seen, n]
             points[:, n] = intersect_point(*given, first or others) + middle
@@ -94,55 +106,17 @@ def information(rig: CameraRig, point: Floats) -> Floats:
     return across(offset / distance[:, None]) / distance[:, None, None] ** 2
 
 
-def point_covariance(rig: CameraRig, point: Floats, rays: Floats, precision, variance) -> Floats:
-    """Return the covariance `[3, 3]` of one point by the sandwich of robust weights."""
-    offset = point - rig.centres
-    along = (offset * rays).sum(1) / np.linalg.norm(offset, axis=1)
-    error = np.maximum(1 - along**2, 0.0) * precision
-    weight = precision / (1 + error / INTERSECT_LOSS_SCALE**2) ** 2
-    each = information(rig, point)
-    inverse = np.linalg.inv(np.einsum("v,vij->ij", weight, each))
-    return inverse @ np.einsum("v,vij->ij", weight**2 * variance, each) @ inverse
+def median_angles(rig: CameraRig, point: Floats, weight: Floats) -> Floats:
+    """Return the medians `[view]` of the angles between rays and the point made of them.
 
-
-def median_angles(rig: CameraRig, point: Floats, weight: Floats, least_share: float) -> Floats:
-    """Return the medians `[view]` of the angles between rays and the point made of them."""
+    The point leaves 5 % at least of the variance of a ray's error.
+    """
     each = information(rig, point)
     covariance = np.linalg.inv(np.einsum("v,vij->ij", weight, each))
     medians = []
     for taken in weight[:, None, None] * (covariance @ each):
-        mean = max(2 - np.trace(taken), 2 * least_share)
+        mean = max(2 - np.trace(taken), 2 * 0.05)
         square = max(2 - 2 * np.trace(taken) + np.trace(taken @ taken), 0.5 * mean**2)
         freedom = np.clip(mean**2 / square, 1.0, 2.0)
         medians.append(np.sqrt(mean * (1 - 2 / (9 * freedom)) ** 3))
     return np.array(medians)
-
-
-def ray_angles(offset: Floats, rays: Floats) -> tuple[Floats, Floats]:
-    """Return angles `[view, N]` between rays and offsets `[view, 3, N]`, and their products."""
-    along = (offset * rays).sum(1)
-    sine = np.linalg.norm(np.cross(offset, rays, axis=1), axis=1)
-    angle = np.arctan2(sine, along)
-    return np.where(np.isnan(angle), np.pi, angle), along
-
-
-def agreeing_views(rig: CameraRig, points, world, weight, *, limits, least_angle) -> Floats:
-    """Return the views `[view, N]` whose rays pass near points, where these are far apart."""
-    seen = weight > 0
-    limit = np.take_along_axis(limits, np.broadcast_to(seen.sum(0), weight.shape), axis=1)
-    angle, along = ray_angles(points - rig.centres[:, :, None], world)
-    agree = seen & (along > 0) & (angle < limit)
-    mean = np.einsum("vin,vn->in", world, agree.astype(float))
-    mean /= np.maximum(np.linalg.norm(mean, axis=0), 1e-12)
-    cosine = np.where(agree, np.einsum("vin,in->vn", world, mean), 1.0)
-    apart = cosine.min(0) < np.cos(least_angle / 2)
-    return agree & (agree.sum(0) >= 2) & apart
-
-
-def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used) -> Floats:
-    """Return the RMS distances `[N]` in pixels of points from the detections that are used."""
-    in_camera = rig.rotation @ points + rig.translation[:, :, None]
-    gap = np.stack(list(map(project, rig.cameras, in_camera))) - pixels
-    square = np.nan_to_num((gap**2).sum(1)) * used
-    with np.errstate(invalid="ignore"):
-        return np.sqrt(square.sum(0) / used.sum(0))
