@@ -1,55 +1,80 @@
-"""Write docs/cli.md from the help texts of the commands."""
+"""Write docs/cli.md from the commands: options that several commands share are described once."""
 
-import subprocess
-import sys
+import inspect
+import re
+from collections import Counter
 from pathlib import Path
 
-from mocap_calib_cli.main import COMMANDS
+import click
 
-_ABOUT = (
-    "Made by `make cli-docs` from `--help`. The shell can complete commands, options and names of "
-    "formats: [how](completion.md)."
-)
-_STATUSES = """\
+from mocap_calib_cli.main import COMMANDS, group
+
+PAGE = Path(__file__).with_name("cli.md")
+_ABOUT = """\
+# Command line
+
+Made by `make cli-docs`; `mocap-calib COMMAND --help` has the same texts. The shell completes
+commands, options and names of formats ([how](completion.md)).
+
 ## Exit status
 
 | status | when |
 |---|---|
-| 0 | done |
-| 1 | files or data are refused; one line on stderr says why, and what to do |
-| 1 | the rig is *not determined* (`run`, `batch`, `adjust`); 0 with `--accept not-determined` |
-| 1 | with `--strict` also where the rig is *weak* (`run`, `batch`, `adjust`, `verify`) |
+| 0 | done; also a *weak* rig, with a warning that `--quiet` does not silence |
+| 1 | files or data are refused: one line on stderr has the reason and the remedy |
+| 1 | the rig is *not determined* (`run`, `batch`, `adjust`), unless `--accept not-determined` |
+| 1 | `--strict` and the rig is *weak* (`run`, `batch`, `adjust`, `verify`) |
 | 1 | a camera is named, or the keypoints do not determine the rig (`verify`) |
-| 1 | a recording failed, the others are calibrated (`batch`) |
-| 1 | a finding is CRITICAL (`inspect`) |
+| 1 | a recording failed (`batch`); a finding is CRITICAL (`inspect`) |
 | 2 | the command line is wrong |
 | 130 | interrupted |
 
-Whatever the verdict is, all files are written first. A *weak* rig ends with status 0 and a warning
-on stderr that `--quiet` does not silence. Where a run finds several groups of cameras, the status
-follows from the verdict on the largest: its files lie in OUT, and scripts go on with them. Of the
-others there are warnings. In a new folder, `OUT/run.json` is there where a rig is not determined,
-and not where data are refused. In Python, `calibrate` raises an error where data are refused, but
-not for a verdict.
+All files are written before the verdict sets the status; `OUT/run.json` is absent where data are
+refused. Of several groups of cameras the largest sets the status. In Python, `calibrate` raises an
+error where data are refused, not for a verdict.
 """
-TOOL = Path(sys.executable).with_name("mocap-calib")
 
 
 def make_page() -> str:
     """Return the whole page as Markdown."""
-    lines = ["# Command line", "", _ABOUT, "", *_STATUSES.splitlines(), ""]
-    for name in COMMANDS:
-        lines += [f"## mocap-calib {name}", "", "```text", read_help(name), "```", ""]
-    return "\n".join(lines)
+    commands = {name: group.get_command(click.Context(group), name) for name in COMMANDS}
+    options = {name: describe_options(command) for name, command in commands.items()}
+    uses = Counter(text for texts in options.values() for text in texts.values())
+    shared = {text for text, number in uses.items() if number > 1}
+    lines = [_ABOUT, "## Options of several commands", ""]
+    lines += dict.fromkeys(x for texts in options.values() for x in texts.values() if x in shared)
+    for name, command in commands.items():
+        own = [text for text in options[name].values() if text not in shared]
+        others = [f"`{option}`" for option, text in options[name].items() if text in shared]
+        lines += ["", f"## mocap-calib {name}", "", describe_command(name, command), "", *own]
+        lines += ["", f"Shared: {', '.join(others)}."] if others else []
+    return "\n".join(lines) + "\n"
 
 
-def read_help(name: str) -> str:
-    """Return the help text of a command."""
-    command = [TOOL, name, "--help"]
-    done = subprocess.run(command, check=True, capture_output=True, encoding="utf-8")
-    return done.stdout.rstrip()
+def describe_options(command: click.Command) -> dict[str, str]:
+    """Return an item of a list for each option of a command, by its longest name."""
+    context = click.Context(command, show_default=True)
+    found = {}
+    for option in command.params:
+        record = option.get_help_record(context) if isinstance(option, click.Option) else None
+        if record:
+            name = max(option.opts, key=len)
+            found[name] = f"- `{record[0]}`: {' '.join(record[1].split())}"
+    return found
+
+
+def describe_command(name: str, command: click.Command) -> str:
+    """Return the usage and the text of a command; its examples are a block."""
+    context = click.Context(command, info_name=f"mocap-calib {name}")
+    usage = " ".join(command.collect_usage_pieces(context))
+    text = inspect.cleandoc(command.help or "").replace("\b\n", "")
+    text, *heading = re.split(r"^(Example.*:)\n", text, maxsplit=1, flags=re.MULTILINE)
+    parts = [f"`mocap-calib {name} {usage}`", text.strip()]
+    if heading:
+        block, _, rest = heading[1].partition("\n\n")
+        parts += [heading[0], f"```text\n{inspect.cleandoc(block)}\n```", rest.strip()]
+    return "\n\n".join(part for part in parts if part)
 
 
 if __name__ == "__main__":
-    page = Path(__file__).with_name("cli.md")
-    page.write_text(make_page(), encoding="utf-8", newline="\n")
+    PAGE.write_text(make_page(), encoding="utf-8", newline="\n")
