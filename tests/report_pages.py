@@ -57,22 +57,10 @@ def unpack_text(packed: dict[str, str]) -> str:
     return zlib.decompress(base64.b64decode(packed["text"])).decode()
 
 
-def timeless_page(page: str) -> str:
-    """Return a page without what tells the time, and without the name of its folder."""
-    data = page_data(page)
-    run = timeless_run(json.loads(unpack_text(data["run"])))
-    program = _DATA.sub("", page).replace(f"<title>{data['title']}", "<title>")
-    return program + json.dumps({**data, "run": run, "title": ""})
-
-
 def timeless_run(run: dict[str, Any]) -> dict[str, Any]:
-    """Return what run.json holds without what tells the time: the hash of the page does, too."""
+    """Return what run.json holds without the date and the times."""
     assert run["seconds"] != {}
-    outputs = {
-        name: found for name, found in run.get("outputs", {}).items() if "report.html" not in name
-    }
-    left = {key: run[key] for key in run if key not in ("date", "seconds")}
-    return {**left, "outputs": outputs}
+    return {key: run[key] for key in run if key not in ("date", "seconds")}
 
 
 if __name__ == "__main__":

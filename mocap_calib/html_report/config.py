@@ -19,7 +19,7 @@ class ReportConfig:
     cells: columns and rows of an image, few_cells in rigs of more than many_views cameras.
     most_bins, least_bins: of errors over time, view_bins in all. series_bins: of lengths of bones
         and the like, series_numbers in all. most_keypoints: that are looked at for either.
-    most_individuals, most_runs, most_swaps, most_hashes: that are listed.
+    most_individuals, most_runs, most_swaps: that are listed.
     """
 
     limit: int = 2_990_000
@@ -46,4 +46,3 @@ class ReportConfig:
     most_individuals: int = 100
     most_runs: int = 20_000
     most_swaps: int = 1000
-    most_hashes: int = 500

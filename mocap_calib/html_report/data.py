@@ -22,6 +22,7 @@ from mocap_calib.verdict.checks import describe_checks
 
 SCHEMA = 1  # goes up when the form of the data changes
 _CONFIG = ReportConfig()
+_OF_ONE_RUN = {"date", "seconds", "inputs", "outputs", "fingerprint"}  # keys of run.json
 _NO_KEYPOINTS = "no keypoints were read: what the cameras saw is not shown"
 
 
@@ -65,10 +66,12 @@ def describe_report(source: ReportSource, room: int) -> dict[str, Any]:
 def _describe_run(run: Mapping[str, Any], room: int) -> tuple[dict[str, str], list[str]]:
     """Return run.json for a page, and what had to be left out of it, a line each.
 
-    Lists of files and of pairs know no limit: a recording of a file per frame has a hash for each.
+    Dates, times and hashes stay in run.json: the same input gives the same page. Lists of pairs
+    know no limit.
     """
+    run = {key: value for key, value in run.items() if key not in _OF_ONE_RUN}
     left = []
-    for shorten in (_all_of_it, _few_hashes, _no_alternatives, _no_pairs):
+    for shorten in (_all_of_it, _no_alternatives, _no_pairs):
         shorter, note = shorten(run)
         if note:
             run = shorter
@@ -84,16 +87,6 @@ _Shortened = tuple[Mapping[str, Any], str]
 
 def _all_of_it(run: Mapping[str, Any]) -> _Shortened:
     return run, ""
-
-
-def _few_hashes(run: Mapping[str, Any]) -> _Shortened:
-    most = _CONFIG.most_hashes
-    few = {
-        key: dict(list(run[key].items())[:most])
-        for key in ("inputs", "outputs")
-        if len(run.get(key, ())) > most
-    }
-    return {**run, **few}, f"of {' and '.join(few)} the first {most} are listed" if few else ""
 
 
 def _no_alternatives(run: Mapping[str, Any]) -> _Shortened:

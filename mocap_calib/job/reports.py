@@ -104,7 +104,7 @@ def read_source(
         notes.append(f"the keypoints of the run could not be read: {error}")
     return ReportSource(
         title=name_results(folder.root, folder.number),
-        run=_without_page(folder.run),
+        run=folder.run,
         rig=rig,
         covariance=_covariance(folder, rig),
         directed=False,
@@ -130,14 +130,6 @@ def note_page(folder: ResultsFolder) -> None:
     name = (Path(group_folder(folder.number)) / PAGE).as_posix()
     outputs = {**root.run["outputs"], name: hash_file(folder.path / PAGE)}
     write_run_json(root.path, {**root.run, "outputs": outputs})
-
-
-def _without_page(run: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what run.json holds but for the hash of the page, which the page cannot hold."""
-    if "outputs" not in run:
-        return dict(run)
-    outputs = {name: found for name, found in run["outputs"].items() if name != PAGE}
-    return {**run, "outputs": outputs}
 
 
 def _read_rig(folder: ResultsFolder) -> CameraRig:

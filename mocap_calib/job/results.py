@@ -13,7 +13,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import source_of_group
 from mocap_calib.io.atomic import replace_folder, write_bytes
-from mocap_calib.io.hashing import hash_file, hash_files
+from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.common import PoseFile, describe_poses
 from mocap_calib.io.provenance import date_of_making, provenance
 from mocap_calib.io.results.further_formats import WriteOutcome, any_holds_points, write_formats
@@ -126,14 +126,12 @@ def write_result(
             further[number] = _write_further(
                 place, group, poses, formats=formats, source=source, config=result.config
             )
-            if number == 0:
-                reports[0]["fingerprint"] = fingerprint
-                reports[0]["outputs"] = hash_files(work)
             if page:
                 title = name_results(output, number)
                 write_bytes(place / PAGE, _draw_page(group, reports[number], poses, title))
-                if number == 0:  # the page holds the hashes of all files but its own
-                    reports[0]["outputs"][PAGE] = hash_file(place / PAGE)
+            if number == 0:
+                reports[0]["fingerprint"] = fingerprint
+                reports[0]["outputs"] = hash_files(work)
             write_run_json(place, reports[number])
     remove_unfinished(output)
     remove_earlier_outputs(output, earlier, kept=reports[0]["outputs"].keys())

@@ -25,7 +25,6 @@ const REPROJECTION = "Distance in the image between a detection and the 3D point
   + "A low error alone proves nothing.";
 const SCORE = "Share of the detections that are explained, times the share of joints in front of "
   + "both cameras, times how well the lifted bodies agree.";
-const HASH = "SHA-256 of the file: it is the same as long as the file is.";
 const GOOD_SCORE = "0.7 and more; below 0.62 a camera is called weak";
 const SETTLED = "below 1° is well determined, below 3° usable, below 10° weak";
 
@@ -106,10 +105,6 @@ const EXPLANATIONS: Record<string, Explanation> = {
   "world.cues.*.*": e("Known length", "A length that was stated, and what it is by all cues together."),
   "adjust.rounds": e("Rounds", "Rounds of adjusting and matching."),
   "epochs.*.*": e("Part of the recording", "Frames in which no camera was moved."),
-  "seconds.*": e("Time taken", "Wall time of this stage.", "s"),
-  "inputs.*": e("Input file", HASH),
-  "outputs.*": e("Result file", HASH),
-  fingerprint: e("Fingerprint", "SHA-256 of all that the results follow from: command, files, settings, weights and code."),
   seed: e("Seed", "Of the random numbers. The same seed gives the same results."),
   schema: e("Schema", "Version of run.json."),
   "config.*": e("Setting", "A constant of the method; mocap_calib/config.py says what each means."),

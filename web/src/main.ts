@@ -32,7 +32,7 @@ function header(recording: Recording, sections: HTMLElement[]): HTMLElement {
 }
 
 function footer({ run }: Recording): HTMLElement {
-  return h("footer", {}, `mocap-calib ${run.version} · ${run.date ?? ""} · this file needs no network and sends nothing`);
+  return h("footer", {}, `mocap-calib ${run.version} · this file needs no network and sends nothing`);
 }
 
 /** Return the first frame in which about as many joints are seen as ever. */

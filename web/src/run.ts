@@ -41,7 +41,6 @@ export interface RunClock {
 
 export interface Run {
   version: string;
-  date: string;
   model: string;
   solver?: string;
   unit: string;
@@ -56,9 +55,6 @@ export interface Run {
   cameras: RunCamera[];
   pairs: RunPair[];
   individuals: { individual: number; frames: number; cameras: Record<string, number> }[];
-  inputs: Record<string, string>;
-  outputs?: Record<string, string>;
-  seconds: Record<string, number>;
   config: Record<string, Json>;
 }
 
