@@ -159,12 +159,17 @@ def turn_cameras(rig: CameraRig, degrees: float, seed: int = 0) -> CameraRig:
     return rig.stand(rotation, rig.centres)
 
 
+def turn_matrix(degrees: float) -> np.ndarray:
+    """Return a rotation by so much about an axis that is none of the coordinates'."""
+    return matrix_from_vector(np.deg2rad(degrees) * AXIS)
+
+
 def turn_camera(
     rig: CameraRig, view: int, degrees: float, *, shift: ArrayLike = (0.0, 0.0, 0.0)
 ) -> CameraRig:
     """Turn one camera about its centre, and shift that."""
     rotation, translation = rig.rotation.copy(), rig.translation.copy()
-    rotation[view] = matrix_from_vector(np.deg2rad(degrees) * AXIS) @ rotation[view]
+    rotation[view] = turn_matrix(degrees) @ rotation[view]
     translation[view] = -rotation[view] @ (rig.centres[view] + shift)
     return replace(rig, rotation=rotation, translation=translation)
 
