@@ -164,6 +164,11 @@ def turn_matrix(degrees: float) -> np.ndarray:
     return matrix_from_vector(np.deg2rad(degrees) * AXIS)
 
 
+def angles_deg(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles `[...]` between rotations `[..., 3, 3]`."""
+    return np.degrees(angle_between(first, second))
+
+
 def turn_camera(
     rig: CameraRig, view: int, degrees: float, *, shift: ArrayLike = (0.0, 0.0, 0.0)
 ) -> CameraRig:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import calibrated, recording, scene, turn_camera
+from scenes import angles_deg, calibrated, recording, scene, turn_camera
 
 import mocap_calib as mc
 from mocap_calib.adjust.camera_fit import CameraFit, pose_of
@@ -161,8 +161,7 @@ def test_a_change_is_found_to_the_frame_with_both_poses(degrees, metres):
     assert evidence > 2 * DECISIVE_NATS
     assert moved.last_moments(epochs.poses, seen, epochs.tolerance) == (70, 71)
     for found, true in zip(epochs.poses, poses, strict=True):
-        turn = found[:, :3] @ true[:, :3].T
-        assert np.degrees(np.arccos(min((np.trace(turn) - 1) / 2, 1.0))) < 0.5
+        assert angles_deg(found[:, :3], true[:, :3]) < 0.5
 
 
 def test_two_changes_are_found_and_the_way_back_counts():
