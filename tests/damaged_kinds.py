@@ -121,7 +121,7 @@ def try_damaged(kind: Kind, folder: Path, rng: random.Random) -> None:
 
 
 def _keypoints(name: str, _: Path) -> Kind:
-    form, _, options, most, scores, _ = SAMPLES[name]
+    form, _, options, most, scores = SAMPLES[name][:5]
     with tempfile.TemporaryDirectory() as scratch:
         write_sample(name, Path(scratch), *recording(most, scores=scores))
         files = _files_of(Path(scratch))

@@ -4,14 +4,17 @@ After the code of their writers, not ours.
 """
 
 import json
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
 from keypoint_files import coco_bytes, dlc_columns, dlc_csv, dlc_h5_fixed, dlc_h5_table, dlc_values
 from scipy.io import savemat
 
-from mocap_calib.io.keypoints.document import ReadOptions
+import mocap_calib as mc
 
 NAMES = ("nose", "left_ear", "tail")
 FRAMES = tuple(range(5))
@@ -162,7 +165,7 @@ def _sleap_csv(folder, p, c):
     (folder / "cam.analysis.csv").write_text("\n".join(lines) + "\n")
 
 
-def _slp(folder, p, c, videos=("cam",), path="cam.slp"):
+def write_slp(folder, p, c, videos=("cam",), path="cam.slp"):
     frames, individuals, keypoints = c.shape
     frame = [
         ("frame_id", "<u8"),
@@ -240,10 +243,6 @@ def _movement(folder, p, c, plural=""):
                 file[name].dims[axis].attach_scale(file[dim])
 
 
-def _movement_old(folder, p, c):
-    _movement(folder, p, c, plural="s")
-
-
 def _nwb(folder, p, c):
     with h5py.File(folder / "cam.nwb", "w") as file:
         file.attrs["nwb_version"] = "2.9.0"
@@ -311,41 +310,59 @@ def _ultralytics(folder, p, c):
         (folder / "cam" / "labels" / f"video_{frame}.txt").write_text("\n".join(lines))
 
 
-LAYOUT = ReadOptions(layout=NAMES)
-# name: (format, writer, options, individuals at most, has scores, says who is who)
+LAYOUT = mc.ReadOptions(layout=NAMES)
+
+
+class Sample(NamedTuple):
+    """One program's files: how it writes them, and what they carry.
+
+    write: of a folder, `[frame, individual, keypoint, 2]` positions and `[frame, individual,
+        keypoint]` scores. most: individuals. scores, tracked, sized: whether files have scores,
+        identities and the image size. written: whether we write the format too, and ordered:
+        only where several individuals are followed.
+    """
+
+    format: str
+    write: Callable[[Path, np.ndarray, np.ndarray], None]
+    options: mc.ReadOptions = mc.ReadOptions()
+    most: int = 2
+    scores: bool = True
+    tracked: bool = True
+    sized: bool = False
+    written: bool = False
+    ordered: bool = False
+
+
 SAMPLES = {
-    "coco": ("coco", _coco, ReadOptions(), 2, True, False),
-    "coco-results": ("coco-results", _coco_results, LAYOUT, 2, True, False),
-    "alphapose": ("alphapose", _alphapose, LAYOUT, 2, True, False),
-    "openpose": ("openpose", _openpose, LAYOUT, 2, True, False),
-    "mmpose": ("mmpose", _mmpose, ReadOptions(), 2, True, False),
-    "mmpose-images": ("mmpose-images", _mmpose_images, LAYOUT, 2, True, False),
-    "superanimal": ("superanimal", _superanimal, LAYOUT, 2, True, False),
-    "deeplabcut-csv": ("deeplabcut-csv", _dlc_csv, ReadOptions(), 2, True, True),
-    "deeplabcut-h5": ("deeplabcut-h5", _dlc_h5, ReadOptions(), 2, True, True),
-    "deeplabcut-h5 fixed": ("deeplabcut-h5", _dlc_h5_fixed, ReadOptions(), 2, True, True),
-    "sleap": ("sleap", _sleap, ReadOptions(), 2, True, True),
-    "sleap-csv": ("sleap-csv", _sleap_csv, ReadOptions(), 2, True, True),
-    "sleap-slp": ("sleap-slp", _slp, ReadOptions(), 2, True, True),
-    "movement": ("movement", _movement, ReadOptions(), 2, True, True),
-    "movement old": ("movement", _movement_old, ReadOptions(), 2, True, True),
-    "nwb": ("nwb", _nwb, ReadOptions(), 1, True, True),
-    "label3d": ("label3d", _label3d, LAYOUT, 1, False, True),
-    "caliscope": ("caliscope", _caliscope, LAYOUT, 2, False, True),
-    "csv": ("csv", _csv, ReadOptions(), 2, True, True),
-    "ultralytics": (
-        "ultralytics",
-        _ultralytics,
-        ReadOptions(layout=NAMES, image_size=SIZE),
-        2,
-        True,
-        False,
+    "coco": Sample("coco", _coco, tracked=False, sized=True, written=True),
+    "coco-results": Sample("coco-results", _coco_results, LAYOUT, tracked=False),
+    "alphapose": Sample("alphapose", _alphapose, LAYOUT, tracked=False),
+    "openpose": Sample("openpose", _openpose, LAYOUT, tracked=False, written=True),
+    "mmpose": Sample("mmpose", _mmpose, tracked=False),
+    "mmpose-images": Sample("mmpose-images", _mmpose_images, LAYOUT, tracked=False),
+    "superanimal": Sample("superanimal", _superanimal, LAYOUT, tracked=False),
+    "deeplabcut-csv": Sample("deeplabcut-csv", _dlc_csv, written=True, ordered=True),
+    "deeplabcut-h5": Sample("deeplabcut-h5", _dlc_h5, written=True, ordered=True),
+    "deeplabcut-h5 fixed": Sample("deeplabcut-h5", _dlc_h5_fixed),
+    "sleap": Sample("sleap", _sleap, written=True),
+    "sleap-csv": Sample("sleap-csv", _sleap_csv),
+    "sleap-slp": Sample("sleap-slp", write_slp),
+    "movement": Sample("movement", _movement, written=True, ordered=True),
+    "movement old": Sample("movement", partial(_movement, plural="s")),
+    "nwb": Sample("nwb", _nwb, most=1, sized=True),
+    "label3d": Sample("label3d", _label3d, LAYOUT, most=1, scores=False),
+    "caliscope": Sample("caliscope", _caliscope, LAYOUT, scores=False),
+    "csv": Sample("csv", _csv, written=True),
+    "ultralytics": Sample(
+        *("ultralytics", _ultralytics, mc.ReadOptions(layout=NAMES, image_size=SIZE)),
+        tracked=False,
+        sized=True,
     ),
 }
 
 
 def write_sample(name: str, folder: Path, positions, confidence) -> list[Path]:
-    """Writes the recording as the format's own program does; the paths to read."""
+    """Write the recording as the format's own program does; return the paths to read."""
     folder.mkdir(parents=True, exist_ok=True)
-    SAMPLES[name][1](folder, positions, confidence)
+    SAMPLES[name].write(folder, positions, confidence)
     return sorted(folder.iterdir())

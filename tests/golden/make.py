@@ -116,9 +116,9 @@ def make_keypoints() -> None:
     """Write a recording of two subjects as each program that the tests know does."""
     from samples2d import SAMPLES, recording, write_sample
 
-    for name, (_, _, _, most, scores, _) in SAMPLES.items():
+    for name, sample in SAMPLES.items():
         folder = CORPUS / "keypoints" / name.replace(" ", "-")
-        write_sample(name, folder, *recording(most, scores=scores))
+        write_sample(name, folder, *recording(sample.most, scores=sample.scores))
 
 
 def make_cameras() -> None:

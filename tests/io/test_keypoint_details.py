@@ -1,0 +1,854 @@
+"""What is particular to one keypoint format: small inputs, and the numbers that they hold.
+
+A row of a table has what writes the files, what is read of them (or a pattern of the refusal), and
+what the user says beside.
+"""
+
+import json
+import os
+import pickle
+import random
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import pytest
+from keypoint_files import coco, dlc_columns, dlc_csv, dlc_h5_fixed, dlc_h5_table, dlc_values
+from samples2d import FRAMES, NAMES, SAMPLES, SIZE, recording, triples, write_sample, write_slp
+
+import mocap_calib as mc
+
+NAN = np.nan
+P, C = recording(1)  # of one individual
+P2, C2 = recording(2)  # of two
+POINTS = 10.0 + np.arange(18).reshape(3, 1, 3, 2)  # of three frames, for COCO
+SCORES = np.full((3, 1, 3), 0.5)
+LAYOUT = mc.ReadOptions(layout=NAMES)
+SHARES = mc.ReadOptions(layout=NAMES, image_size=SIZE)
+Make = Callable[[Path], object]
+
+
+class Case(NamedTuple):
+    """make: of a folder. expected: fields of each camera, or a pattern of the refusal.
+
+    paths: what is read, "" is the folder.
+    """
+
+    make: Make
+    expected: str | Mapping[str, Any] | list[Mapping[str, Any]]
+    options: mc.ReadOptions = mc.ReadOptions()
+    paths: str = ""
+
+
+def text(content: object, name: str = "cam.json") -> Make:
+    """Return what writes a text, or JSON, or bytes, into a file."""
+
+    def make(folder: Path) -> None:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        as_text = content if isinstance(content, str | bytes) else json.dumps(content)
+        (folder / name).write_bytes(as_text if isinstance(as_text, bytes) else as_text.encode())
+
+    return make
+
+
+def stored(
+    write: str | Make, changes: Mapping[str, object], p: np.ndarray = P, c: np.ndarray = C
+) -> Make:
+    """Return what writes HDF5 of a sample and changes entries, `path` or `path@attribute`.
+
+    None removes a dataset.
+    """
+
+    def make(folder: Path) -> None:
+        (SAMPLES[write].write if isinstance(write, str) else write)(folder, p, c)
+        (path,) = folder.iterdir()
+        with h5py.File(path, "a") as file:
+            for key, value in changes.items():
+                place, _, attribute = key.partition("@")
+                if attribute:
+                    file[place or "/"].attrs[attribute] = value
+                    continue
+                if place in file:
+                    del file[place]
+                if value is not None:
+                    file[place] = value
+
+    return make
+
+
+def check(case: Case, folder: Path) -> None:
+    """Read the case, and compare it with what is expected."""
+    case.make(folder)
+    paths = case.paths.format(folder) or folder
+    if isinstance(case.expected, str):
+        with pytest.raises((mc.FormatError, mc.MismatchError), match=case.expected) as refused:
+            mc.read_keypoints(paths, None, case.options)
+        assert "\n" not in str(refused.value)
+        return
+    wanted = case.expected if isinstance(case.expected, list) else [case.expected]
+    for view, fields in zip(mc.read_keypoints(paths, None, case.options), wanted, strict=True):
+        for name, value in fields.items():
+            found = getattr(view, name)
+            if name == "remarks":
+                assert any(value in remark for remark in found)
+            elif isinstance(found, np.ndarray):
+                np.testing.assert_allclose(
+                    found, np.broadcast_to(value, found.shape), rtol=0, atol=1e-9
+                )
+            else:
+                assert found == value
+
+
+# --- COCO and its relatives
+
+MISSING_FIRST = np.where(np.arange(9).reshape(3, 1, 3, 1) == 0, NAN, POINTS)
+TWO = np.concatenate([POINTS, POINTS + 20], axis=1)
+HIDDEN = np.where(np.arange(6).reshape(3, 2, 1, 1) == 0, NAN, TWO)
+BY_CAMERA = r"--camera-regex|camera_regex"
+IDS = mc.ReadOptions(layout=NAMES, camera_pattern=r"1(?P<camera>\d{3})(?P<frame>\d{7})")
+
+
+def images(*names: str, expected: Any, paths: str = "", **fields: tuple[object, ...]) -> Case:
+    """Return a case of COCO images with these file names and fields; None removes one."""
+    data = coco([3, 4, 10], NAMES, POINTS, SCORES)
+    given = fields | ({"file_name": names} if names else {})
+    for k, image in enumerate(data["images"]):
+        image.update({key: values[k] for key, values in given.items()})
+        data["images"][k] = {key: value for key, value in image.items() if value is not None}
+        data["annotations"][k]["image_id"] = image["id"]
+    wanted = {"frames": expected, "positions": POINTS} if isinstance(expected, tuple) else expected
+    return Case(text(data), wanted, paths=paths)
+
+
+def annotated(expected: Any, change: Callable[[dict], object], data: Any = None) -> Case:
+    """Return a case of COCO, of two individuals unless it is given, that a function changes."""
+    data = data or coco([3, 4, 10], NAMES, TWO, np.full((3, 2, 3), 0.5))
+    change(data)
+    return Case(text(data), expected)
+
+
+def first_point(*triple: float | None, expected: Any = MISSING_FIRST) -> Case:
+    data = coco([3, 4, 10], NAMES, POINTS, SCORES)
+    data["annotations"][0]["keypoints"][:3] = triple
+    return Case(text(data), {"positions": expected})
+
+
+def third_numbers(given: tuple[float, ...], expected: tuple[float, ...]) -> Case:
+    data = coco([3, 4, 10], NAMES, POINTS, np.broadcast_to(given, (3, 1, 3)))
+    return Case(text(data), {"confidence": expected})
+
+
+def add_boxes(data: dict) -> None:
+    data["categories"].append({"id": 2, "name": "ball", "keypoints": []})
+    data["annotations"].insert(0, {"id": 9, "image_id": 0, "category_id": 2})
+
+
+def quote_ids(data: dict) -> None:
+    for each in data["annotations"]:
+        each.update(image_id=str(each["image_id"]), category_id="1")
+
+
+PEOPLE = [
+    {"image_id": 10**10 + 10**7 * k + f, "category_id": 1, "keypoints": [5.0, 6, 1] * 3}
+    for k in (1, 2)
+    for f in (4, 9)
+]
+ROBOFLOW = [f"a_000{k}_png.rf.91b7584a2265b1f{k}.jpg" for k in (3, 4, 5)]
+FOLDERS = ("left/i3.png", "right/i5.png", "left/i9.png")
+BARE = {"file_name": (None,) * 3}
+COCO = {
+    "the first integer": images("a7/5_c1.jpg", "a7/6_c1.jpg", "a7/9_c1.jpg", expected=(5, 6, 9)),
+    "a field": images("5_c.jpg", "6_c.jpg", "9_c.jpg", frame=(31, 32, 33), expected=(31, 32, 33)),
+    "the next field": images(frame=(3, 3, 3), frame_id=(7, 8, 9), **BARE, expected=(7, 8, 9)),
+    "no last integer": images("5_left.jpg", "6_left.jpg", "9_left.jpg", expected=(5, 6, 9)),
+    "ids": images("day1_x_c1.jpg", "day1_y_c1.jpg", "day1_z_c1.jpg", expected=(0, 1, 2)),
+    "a name has none": images("a1.png", "b.png", "c3.png", frame_id=(4, 5, 7), expected=(4, 5, 7)),
+    "no names": images(**BARE, expected=(0, 1, 2)),
+    "ids of text": images(**BARE, id=("x0", "x1", "x2"), expected="a frame number"),
+    "what Roboflow adds": images(*ROBOFLOW, expected=(3, 4, 5)),
+    "no numbers": images("clip.mp4", "a7b.png", "-.png", id=("a", "b", "c"), expected="number"),
+    "two cameras": images("c1_000.png", "c1_001.png", "c2_000.png", expected="0 twice, at c1_000"),
+    "two cameras behind": images("0_c1.png", "1_c1.png", "0_c2.png", expected=BY_CAMERA),
+    "two folders deep": images("d1/a/0.png", "d2/b/1.png", "d2/a/2.png", expected=BY_CAMERA),
+    "one frame twice": images("cam1/8.png", "8.png", "9.png", expected=r"8\.png"),
+    "a folder a camera": images(
+        *FOLDERS,
+        expected=[{"camera": "left", "frames": [3, 9]}, {"camera": "right", "frames": [5]}],
+    ),
+    "the user knows better": images(
+        *FOLDERS, expected={"camera": "cam", "frames": [3, 5, 9]}, paths="cam={}/cam.json"
+    ),
+    "missing at (0, 0)": first_point(0, 0, 0.9),
+    "missing by a score of 0": first_point(12, 8, 0),
+    "missing at (-1, -1)": first_point(-1, -1, -1),
+    "missing at NaN": first_point(NAN, 3, 0.5),
+    "missing at null": first_point(4, None, 1),
+    "a score that is none": first_point(4, 3, NAN),
+    "on an edge": first_point(0, 7, 1, expected=np.where(POINTS < 12, [0, 7], POINTS)),
+    "visibilities": third_numbers((0, 1, 2), (0, 0.5, 1)),
+    "visibilities or scores": third_numbers((0, 1, 1), (0, 1, 1)),
+    "scores": third_numbers((0.5, 1, 2), (0.5, 1, 2)),
+    "visibilities and -1": third_numbers((1, 2, -1), (0.5, 1, 0)),
+    "an empty list": annotated(
+        {"positions": HIDDEN}, lambda data: data["annotations"][0].update(keypoints=[])
+    ),
+    "images in another order": annotated(
+        {"frames": [3, 4, 10], "positions": TWO}, lambda data: data["images"].reverse()
+    ),
+    "annotations in another order": annotated(
+        {"positions": TWO[:, ::-1]}, lambda data: data["annotations"].reverse()
+    ),
+    "an image without annotations": annotated(
+        {"positions": np.where(np.arange(3).reshape(3, 1, 1, 1) == 1, NAN, POINTS)},
+        lambda data: data["annotations"].pop(1),
+        coco([3, 4, 10], NAMES, POINTS, SCORES),
+    ),
+    "ids that are quoted": annotated({"positions": TWO}, quote_ids),
+    "a category of boxes": annotated({"positions": TWO}, add_boxes),
+    "results of two cameras": Case(
+        text(PEOPLE), [{"camera": camera, "frames": [4, 9]} for camera in ("001", "002")], IDS
+    ),
+    "cameras by a pattern": images(
+        *("day1/cam2/color/0.png", "day1/cam1/color/4.png", "day1/cam2/color/6.png"),
+        expected=[{"camera": "cam2", "frames": [0, 6]}, {"camera": "cam1", "frames": [4]}],
+    )._replace(options=mc.ReadOptions(camera_pattern="cam[12]")),
+    "two cameras under one name": images(
+        *("cam1/0.png", "cam2/0.png", "cam1/1.png"),
+        expected="without a name|twice",
+        paths="a={}/cam.json",
+    ),
+}
+
+# --- tables
+
+
+def row(content: str, expected: Any, **options: Any) -> Case:
+    return Case(text(content, "cam.csv"), expected, mc.ReadOptions(**options))
+
+
+def dlc(expected: Any, *, rows=FRAMES, columns=None, values=None, index=1, change=list) -> Case:
+    """Return a case of a DeepLabCut table whose lines a function changes."""
+    columns, values = columns or dlc_columns(NAMES), dlc_values(P, C) if values is None else values
+    return row("\n".join(change(dlc_csv(rows, columns, values, index).splitlines())), expected)
+
+
+def dlc_h5(expected: Any, write: Callable, *, rows=FRAMES, columns=None, values=None) -> Case:
+    columns, values = columns or dlc_columns(NAMES), dlc_values(P, C) if values is None else values
+    return Case(lambda folder: write(folder / "c.h5", list(rows), columns, values), expected)
+
+
+IMAGES = [("labeled-data", "clip", f"img{frame:04d}.png") for frame in FRAMES]
+PATHS = ["/".join(path) for path in IMAGES]
+FOUND = {"frames": FRAMES, "positions": P}
+UNIQUE = {
+    "columns": [
+        *dlc_columns(NAMES, ("m1", "m2")),
+        *(("net", "single", "corner", coord) for coord in ("x", "y", "likelihood")),
+    ][::-1],
+    "values": np.concatenate([dlc_values(P2, C2), np.ones((len(FRAMES), 3))], axis=1)[:, ::-1],
+}
+TURNED = {"keypoints": NAMES[::-1], "positions": P2[:, ::-1, ::-1], "remarks": "corner"}
+USED = ["set", "", "", "train", "validation", "unlabeled", "", "test"]
+COORDS = ("x", "y", "likelihood", "x_ens_median", "y_ens_median", "x_ens_var", "x_posterior_var")
+ANIMALS = {"columns": dlc_columns(NAMES, ("animal0", "animal1")), "values": dlc_values(P2, C2)}
+ANY_ORDER = {"tracked": False, "positions": P2}
+SHORT = np.where(np.arange(5).reshape(5, 1, 1, 1) == 1, NAN, P)
+HEAD, LITTLE = "camera,frame,individual,keypoint,x,y\n", "frame,keypoint,x,y\n"
+TABLES = {
+    "paths of images": dlc(FOUND, rows=PATHS),
+    "paths in three columns": dlc(FOUND, rows=[",".join(path) for path in IMAGES], index=3),
+    "paths as levels in .h5": dlc_h5(FOUND, dlc_h5_fixed, rows=IMAGES),
+    "paths in .h5": dlc_h5(FOUND, dlc_h5_fixed, rows=PATHS),
+    "paths in a table in .h5": dlc_h5(FOUND, dlc_h5_table, rows=PATHS),
+    "no likelihood": dlc(
+        {"positions": P, "confidence": C > 0},
+        columns=dlc_columns(NAMES, likelihood=False),
+        values=dlc_values(P, C, likelihood=False),
+    ),
+    "unique body parts": dlc(TURNED, **UNIQUE),
+    "unique body parts in .h5": dlc_h5(TURNED, dlc_h5_table, **UNIQUE),
+    "unique body parts in a fixed .h5": dlc_h5(TURNED, dlc_h5_fixed, **UNIQUE),
+    "a mark, line ends, short scorers, a short row": dlc(
+        {"positions": SHORT},
+        change=lambda x: ["\ufeffscorer,net\r", *x[1:4], f"{FRAMES[1]},,\r", *x[5:], "\r"],
+    ),
+    "Lightning Pose's column of sets": dlc(
+        {"keypoints": NAMES, "positions": P},
+        change=lambda x: [f"{line},{used}" for line, used in zip(x, USED, strict=True)],
+    ),
+    "the spread of an ensemble": dlc(
+        {"positions": P, "confidence": C},
+        columns=[("eks", name, coord) for name in NAMES for coord in COORDS],
+        values=np.concatenate([P, C[..., None], np.full((*C.shape, 4), 7.0)], -1).reshape(5, -1),
+    ),
+    "animals of SuperAnimal": dlc(ANY_ORDER, **ANIMALS),
+    "animals of SuperAnimal in .h5": dlc_h5(ANY_ORDER, dlc_h5_fixed, **ANIMALS),
+    "two views in names": dlc(
+        [
+            {"camera": "top", "keypoints": ("nose", "tail"), "positions": P[:, :, :2]},
+            {"camera": "bot", "keypoints": ("nose",), "positions": P[:, :, 2:]},
+        ],
+        columns=dlc_columns(("nose_top", "tail_top", "nose_bot")),
+    )._replace(options=mc.ReadOptions(views=("top", "bot"))),
+    "a view that is none": dlc("--views")._replace(options=mc.ReadOptions(views=("top",))),
+    "a header of a name alone": row(
+        "scorer,,s\nbodyparts,,nose\ncoords,,\n0,1,2\n", "row `coords`"
+    ),
+    "commas in numbers": dlc(
+        "row 4.*commas", change=lambda x: [line.replace(".", ",") for line in x]
+    ),
+    "a frame twice": dlc(r"frame 3 twice, at row 4 \(3\) and row 6 \(3\)", rows=[3, 4, 3, 5, 6]),
+    "a comma in a name": row(
+        'track,frame_idx,instance.score,"a,b.x","a,b.y","a,b.score"\n,0,1.0,10.0,20.0,0.5\n',
+        {"keypoints": ("a,b",), "positions": [10.0, 20.0]},
+    ),
+    "little": row(
+        LITTLE + "7,nose,1.5,2.5\n9,,,\n8,tail,3,4\n",
+        {
+            **{
+                "camera": "cam",
+                "keypoints": ("nose", "tail"),
+                "frames": [7, 8, 9],
+                "tracked": True,
+            },
+            "positions": [[[[1.5, 2.5], [NAN] * 2]], [[[NAN] * 2, [3, 4]]], [[[NAN] * 2] * 2]],
+        },
+    ),
+    "pixels with an image size": row(
+        LITTLE + "0,nose,12.5,300\n",
+        {"positions": [12.5, 300], "image_size": SIZE},
+        image_size=SIZE,
+    ),
+    "a mark and line ends": row(
+        "\ufeffframe,keypoint,x,y\r\n3,nose,1.5,2.5\r\n", {"positions": [1.5, 2.5]}
+    ),
+    "a third coordinate": row("frame,keypoint,x,y,z\n7,nose,1,2,3\n", "columns"),
+    "no camera": row("camera,frame,keypoint,x,y\n,7,nose,1,2\n", "row 2"),
+    "a word for a frame": row(LITTLE + "seven,nose,1,2\n", "frame number"),
+    "a name for an instance": row(
+        "frame,instance,keypoint,x,y\n7,anna,nose,1,2\n", "call the column individual"
+    ),
+    "a late instance": row("frame,instance,keypoint,x,y\n7,9999,nose,1,2\n", "at most 1000"),
+    "no rows": row(LITTLE, "rows below"),
+    "further cells": row(LITTLE + "3,nose,1,5,2,5\n", "row 2.*cells"),
+    "quoted commas": row(LITTLE + '3,nose,"1,5","2,5"\n', "row 2.*number"),
+    "semicolons": row("frame;keypoint;x;y\n3;nose;1,5;2,5\n", "commas"),
+    "a point four times": row(HEAD + "a,1,m,nose,5,6\n" * 4, "nose 4 times, in rows 2, 3, 4"),
+    "a crowd of cameras": row(
+        HEAD + "".join(f"c{k},0,a,nose,1,2\n" for k in range(201)), "at most 200 cameras"
+    ),
+    "a crowd of keypoints": row(
+        HEAD + "".join(f"c,0,a,k{k},1,2\n" for k in range(60_000)), "at most 5000 keypoints"
+    ),
+    "points without names": Case(
+        partial(write_sample, "label3d", positions=P, confidence=C),
+        {"keypoints": ("point_1", "point_2", "point_3")},
+    ),
+    "numbered points": row(
+        "sync_index,cam_id,keypoint_id,img_loc_x,img_loc_y\n4,a,7,1,2\n4,a,2,3,4\n",
+        {"keypoints": ("7", "2"), "positions": [[1, 2], [3, 4]], "frames": [4]},
+    ),
+    "fewer names than points": Case(
+        partial(write_sample, "caliscope", positions=P, confidence=C),
+        r"row 3: .*below 1",
+        mc.ReadOptions(layout=("nose",)),
+    ),
+}
+
+
+# --- a file a frame, and JSON of detectors
+
+
+def people(*frames: list[object], folder: str = "cam_json") -> Make:
+    """Return what writes OpenPose's people, a file a frame."""
+
+    def make(place: Path) -> None:
+        for k, points in enumerate(frames):
+            found = {"people": [{"pose_keypoints_2d": each} for each in points]}
+            text(found, f"{folder}/v_{k:012d}_keypoints.json")(place)
+
+    return make
+
+
+def in_one_file(people: str, points: str) -> Make:
+    """Return what writes OpenPose's people as AlphaPose does, all frames in one file."""
+    frames = {
+        f"{frame}.jpg": {
+            people: [{points: triples(*each)} for each in zip(P2[k], C2[k], strict=True)]
+        }
+        for k, frame in enumerate(FRAMES)
+    }
+    return text(frames)
+
+
+def of_program(program: str, count: int) -> Make:
+    """Return what writes one body of so many points."""
+    points, scores = np.full((count, 2), 5.0), np.full(count, 0.5)
+    entry = {"image_id": "0.jpg", "score": 2.0, "box": [1, 2, 3, 4], "idx": [0.0]}
+    named = {"keypoints": points.tolist(), "keypoint_scores": scores.tolist()}
+    contents = {
+        "alphapose": [entry | {"category_id": 1, "keypoints": triples(points, scores)}],
+        "mmpose": [{"frame_id": 0, "instances": [named]}],
+        "openpose": {"people": [{"pose_keypoints_2d": triples(points, scores)}]},
+    }
+    return text(contents[program], "0.json")
+
+
+def shares(*cells: object) -> Make:
+    """Return what writes one of Ultralytics' lines."""
+    return text(" ".join(map(str, [0, 0.5, 0.5, 0.2, 0.2, *cells])), "cam/labels/video_0.txt")
+
+
+IN_FILE = "{}/cam.json"
+FEET = ("left_big_toe", "left_small_toe", "left_heel")
+ONE = [5.0, 6.0, 0.5]
+TWICE = text(
+    " ".join(["0"] + ["0.5"] * 13) + "\n" + " ".join(["0"] + ["0.5"] * 13), "cam/video_3.txt"
+)
+PER_FRAME = {
+    "people in any order": Case(
+        people([ONE * 3, [7.0, 8, 1] * 3], [[7.0, 8, 1] * 3]),
+        {
+            "tracked": False,
+            "positions": [[[[5, 6]] * 3, [[7, 8]] * 3], [[[7, 8]] * 3, [[NAN] * 2] * 3]],
+        },
+        LAYOUT,
+    ),
+    "no people, no points and null": Case(
+        people([], [[]], [[None, None, None, 5.0, 6.0, 0.5, 1, 2, 1]]),
+        {"positions": [[[[NAN] * 2] * 3]] * 2 + [[[[NAN] * 2, [5, 6], [1, 2]]]]},
+        LAYOUT,
+    ),
+    "AlphaPose's people": Case(
+        in_one_file("people", "pose_keypoints_2d"), ANY_ORDER, LAYOUT, IN_FILE
+    ),
+    "AlphaPose's bodies": Case(in_one_file("bodies", "joints"), ANY_ORDER, LAYOUT, IN_FILE),
+    "18 points": Case(of_program("openpose", 18), {"frames": [0]}, paths="cam={}/0.json"),
+    "25 points": Case(of_program("openpose", 25), "body_25 or body_25b", paths="cam={}/0.json"),
+    "17 points": Case(of_program("openpose", 17), "coco_17 or h36m_17", paths="cam={}/0.json"),
+    "2 numbers": Case(people([[1.0, 2.0]]), "found 2 numbers", LAYOUT),
+    "no list": Case(people([{"x": 1}]), "found dict", LAYOUT),
+    "literals that are no numbers": Case(
+        text(
+            b"\xef\xbb\xbf"
+            + b'[{"bodyparts": [[[1.5, 2.5, 0.5],\r\n[NaN, 3, 0.5],\r\n[Infinity, 3, 0.5]]]}]',
+        ),
+        {"positions": [[1.5, 2.5], [NAN] * 2, [NAN] * 2]},
+        LAYOUT,
+    ),
+    **{
+        f"shares with {scores} scores and {len(behind)} behind": Case(
+            shares(*[0.25, 0.5, *[0.7] * scores] * 3, *behind),
+            {"positions": [160, 240], "confidence": 0.7 if scores else 1.0},
+            SHARES,
+        )
+        for scores in (0, 1)
+        for behind in ((), (0.87,), (0.87, 3))
+    },
+    "shares of the edge and of nothing": Case(
+        shares(0, 0.5, 1, 0.5, 0, 1, 0, 0, 1),
+        {"positions": [[0, 240], [320, 0], [NAN, NAN]], "confidence": [1, 1, 0]},
+        SHARES,
+    ),
+    "shares without a size": Case(shares(*[0.5] * 9), "--image-size", LAYOUT),
+    "shares that are pixels": Case(shares(320, 240, 1, 10, 20, 1, 3, 4, 1), "letterboxed", SHARES),
+    "a line twice": Case(TWICE, "line 2: .*line 1", SHARES),
+    **{
+        f"shares of {count} numbers": Case(
+            shares(*["0.5"] * count),
+            f"found {count} numbers after the box; .*{words}",
+            mc.ReadOptions(image_size=SIZE),
+        )
+        for count, words in (
+            *((35, "coco_17"), (51, "coco_17"), (52, "body_25 or")),
+            (500, "with names separated by commas"),
+        )
+    },
+}
+
+
+@pytest.mark.parametrize("program", ["alphapose", "openpose", "mmpose"])
+@pytest.mark.parametrize(("count", "feet"), [(133, (17, 18, 19)), (136, (20, 22, 24))])
+def test_whole_bodies_are_known_by_their_number_of_points(tmp_path, program, count, feet):
+    of_program(program, count)(tmp_path)
+    names = mc.read_keypoints([f"cam={tmp_path / '0.json'}"])[0].keypoints
+    assert len(set(names)) == count
+    assert names[-42] == "left_hand_root"
+    assert tuple(names[k] for k in feet) == FEET
+
+
+@pytest.mark.parametrize(
+    ("layout", "count"),
+    [
+        *(("coco_17", 17), ("body_25", 25), ("body_25b", 25), ("coco_18", 18), ("halpe_26", 26)),
+        *(("h36m_17", 17), ("mpii_16", 16)),
+    ],
+)
+def test_a_layout_names_each_point_and_the_model_of_people_knows_them(tmp_path, layout, count):
+    for x, camera in enumerate("ab"):
+        people([[10.0 + x, 20.0, 0.5] * count], folder=f"{camera}_json")(tmp_path)
+    made = mc.read_recording(tmp_path, layout=layout, image_size=SIZE, model="people")
+    assert len(set(made.keypoints)) == len(made.keypoints) >= count - 2
+
+
+# --- HDF5 of SLEAP, movement and NWB
+
+BACKEND = json.dumps({"backend": {"filename": "."}})
+INSIDE = [json.dumps({"backend": {"filename": ".", "dataset": f"video{k}/video"}}) for k in (0, 1)]
+SESSION = {
+    "calibration": {"cam_0": {"name": "right"}, "cam_1": {"name": "left"}, "metadata": {}},
+    "camcorder_to_video_idx_map": {"0": "1", "1": "0"},
+}
+VIDEOS = partial(write_slp, videos=("left_cam", "right_cam"))
+BY_VIDEO = [{"camera": name, "positions": P2} for name in ("left_cam", "right_cam")]
+AXES = {
+    "tracks": P2[:2].transpose(2, 3, 0, 1),
+    "tracks@dims": json.dumps(["node", "xy", "frame", "track"]),
+    "point_scores": C2[:2].transpose(2, 0, 1),
+    "track_occupancy": None,
+}
+POSES = "processing/behavior/PoseEstimation"
+
+
+def times(name: str, value: object, **rate: float) -> Make:
+    """Return what writes NWB whose series have these times."""
+    changes: dict[str, object] = {}
+    for joint in NAMES:
+        changes |= {f"{POSES}/{joint}/timestamps": None, f"{POSES}/{joint}/{name}": value}
+        changes |= {f"{POSES}/{joint}/{name}@{key}": each for key, each in rate.items()}
+    return stored("nwb", changes)
+
+
+def corrected(folder: Path) -> None:
+    """Write a project in whose first frame the second instance corrects the first."""
+    write_slp(folder, P2, C2)
+    with h5py.File(folder / "cam.slp", "a") as file:
+        rows = file["instances"][...]
+        rows["track"] = -1
+        for field in ("instance_type", "from_predicted", "point_id_start"):
+            rows[1][field] = 0
+        rows[1]["point_id_end"] = 3
+        made = np.array([(7.0, 8.0, True, True)] * 3, dtype=file["points"].dtype)
+        del file["instances"], file["points"]
+        file["instances"], file["points"] = rows, made
+
+
+def two_nwb(folder: Path) -> None:
+    write_sample("nwb", folder, P, C)
+    with h5py.File(folder / "cam.nwb", "a") as file:
+        file.copy(POSES, file["processing/behavior"], name="right")
+
+
+def giant(folder: Path) -> None:
+    """Claim 160 MB, of which a quarter is there, in 40 kB: deflate packs a thousandfold."""
+    with h5py.File(folder / "a.h5", "w") as file:
+        shape, chunks = (1, 2, 10, 1_000_000), (1, 2, 10, 50_000)
+        tracks = file.create_dataset("tracks", shape, "f8", chunks=chunks, compression="gzip")
+        for start in range(0, 250_000, 50_000):
+            tracks[..., start : start + 50_000] = 1.0
+        file["node_names"] = np.array([f"n{k}" for k in range(10)], dtype="S")
+        file["track_names"] = np.array([b"t"])
+
+
+def crowd(folder: Path) -> None:
+    """Claim 500 million entries of a byte, in half a megabyte."""
+    with h5py.File(folder / "a.h5", "w") as file:
+        shape, chunks = (1, 2, 10, 25_000_000), (1, 2, 10, 1_000_000)
+        tracks = file.create_dataset("tracks", shape, "i1", chunks=chunks, compression="gzip")
+        for start in range(0, 25_000_000, 1_000_000):
+            tracks[..., start : start + 1_000_000] = 1
+        file["node_names"] = np.array([f"n{k}" for k in range(10)], dtype="S")
+        file["track_names"] = np.array([b"t"])
+
+
+def filtered(folder: Path) -> None:
+    """Write a chunk under blosc's filter number, which h5py does not have."""
+    dlc_h5_fixed(folder / "blosc.h5", FRAMES, dlc_columns(NAMES), dlc_values(P, C))
+    with h5py.File(folder / "blosc.h5", "a") as file:
+        group = file["predictions"]
+        del group["block0_values"]
+        plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plist.set_chunk((5, 9))
+        plist.set_filter(32001, h5py.h5z.FLAG_OPTIONAL, ())
+        space = h5py.h5s.create_simple((5, 9))
+        kind = h5py.h5t.IEEE_F64LE
+        values = h5py.h5d.create(group.id, b"block0_values", kind, space, plist)
+        values.write_direct_chunk((0, 0), b"\0" * 40)
+
+
+def two_keys(folder: Path) -> None:
+    for key in ("one", "two"):
+        dlc_h5_table(folder / "a.h5", FRAMES, dlc_columns(NAMES), dlc_values(P, C), key=key)
+
+
+STORES = {
+    "before SLEAP 1.1": Case(
+        stored("sleap-slp", {"metadata@format_id": 1.0}), {"positions": P - 0.5}
+    ),
+    "SLEAP 1.1": Case(stored("sleap-slp", {"metadata@format_id": 1.1}), {"positions": P}),
+    "videos of a project": Case(stored(VIDEOS, {}, P2, C2), BY_VIDEO),
+    "a part of a video's name": Case(
+        stored(VIDEOS, {}, P2, C2),
+        [{"camera": "left"}, {"camera": "right"}],
+        mc.ReadOptions(camera_pattern="(left|right)_"),
+    ),
+    "a package without names": Case(
+        stored(VIDEOS, {"videos_json": np.array(INSIDE, "S")}), r"found none; export an analysis"
+    ),
+    "a package of named videos": Case(
+        stored(
+            VIDEOS,
+            {"videos_json": np.array(INSIDE, "S"), "video0/source_video/a": 0}
+            | {"video1/source_video/a": 0}
+            | {
+                f"video{k}/source_video@json": json.dumps({"backend": {"filename": f"{name}.mp4"}})
+                for k, name in enumerate(("left_cam", "right_cam"))
+            },
+            *(P2, C2),
+        ),
+        BY_VIDEO,
+    ),
+    "a package of a session": Case(
+        stored(
+            VIDEOS,
+            {
+                "videos_json": np.array([BACKEND] * 2, "S"),
+                "sessions_json": np.array([json.dumps(SESSION)], "S"),
+            },
+            *(P2, C2),
+        ),
+        [{"camera": "left"}, {"camera": "right"}],
+    ),
+    "a correction by hand": Case(corrected, {"tracked": False}),
+    "SLEAP's axes as numpy has them": Case(
+        stored("sleap", {"tracks": P2, "point_scores": C2}, P2, C2), {"positions": P2}
+    ),
+    "axes that fit two orders": Case(
+        stored(
+            "sleap",
+            dict.fromkeys(("point_scores", "track_occupancy", "track_names"))
+            | {"tracks": np.zeros((2, 2, 3, 2))},
+        ),
+        "fits 2 orders",
+    ),
+    "axes that are named": Case(
+        stored("sleap", AXES, P2, C2), {"positions": P2[:2], "confidence": C2[:2]}
+    ),
+    "axes of nothing": Case(
+        stored("sleap", AXES | {"tracks@dims": "[" * 100_000}, P2, C2), "a whole SLEAP analysis"
+    ),
+    "tracks without names": Case(
+        stored("sleap", {"track_names": np.zeros(0), "point_scores": None}, P2, C2),
+        {"tracked": False, "confidence": np.isfinite(P2[..., 0])},
+    ),
+    "poses of two cameras": Case(
+        two_nwb,
+        [{"camera": name, "remarks": "NWB has times"} for name in ("PoseEstimation", "right")],
+    ),
+    "a rate": Case(times("starting_time", 1.0, rate=30.0), {"frames": [30, 31, 32, 33, 34]}),
+    "times that jitter": Case(
+        times("timestamps", [0.0, 0.0334, 0.0665, 0.2001, 0.2332]), {"frames": [0, 1, 2, 6, 7]}
+    ),
+    "late times": Case(
+        times("timestamps", [10.0, 10.02, 10.04, 10.06, 10.08]),
+        {"frames": [500, 501, 502, 503, 504]},
+    ),
+    "a time twice": Case(times("timestamps", [0.0, 0.1, 0.1, 0.2, 0.3]), "times that increase"),
+    "a time that is none": Case(times("timestamps", [0.0, 0.1, NAN, 0.2, 0.3]), "times that incr"),
+    "a rate of zero": Case(times("starting_time", 1.0, rate=0.0), "times that increase"),
+    "times of another rate": Case(stored("movement", {"@fps": 30.0}), "whole frames"),
+    "times of two axes": Case(stored("movement", {"time": np.zeros((5, 1))}), "whole frames"),
+    "axes x and z": Case(
+        stored("movement", {"space": np.array(["x", "z"], dtype="S")}), "2D positions"
+    ),
+    "a giant": Case(giant, r"at most 10\d MB of `/tracks`.*found 160 MB"),
+    "a crowd": Case(crowd, r"at most .* MB of `/tracks`.*found 500 MB"),
+    "an unknown compression": Case(filtered, "32001"),
+    "two tables": Case(two_keys, "one, two"),
+    "an aborted write": Case(
+        stored("deeplabcut-h5", {"df_with_missing/table": None}), "aborted write"
+    ),
+    "labels that are no pickle": Case(
+        stored("deeplabcut-h5", {"df_with_missing/table@values_block_0_kind": np.bytes_(b"no")}),
+        "expected .*, found ",
+    ),
+    "another store": Case(
+        lambda folder: h5py.File(folder / "a.h5", "w").create_dataset("tracks", data=[0.0] * 3),
+        "tracks",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, id=name)
+        for kind in (COCO, TABLES, PER_FRAME, STORES)
+        for name, case in kind.items()
+    ],
+)
+def test_a_detail_is_read_or_refused(case, tmp_path):
+    check(case, tmp_path)
+
+
+class Trap:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
+
+    def __reduce__(self) -> tuple:
+        return (os.mkdir, (self.path,))
+
+
+@pytest.mark.parametrize(
+    "attribute", ["info", "values_block_0_kind", "non_index_axes", "index_kind", "of no use"]
+)
+def test_a_doctored_h5_runs_nothing(tmp_path, attribute):
+    """pandas.read_hdf runs what stands in `info` and others."""
+    trap = np.bytes_(pickle.dumps(Trap(tmp_path / "trap"), 0))
+    place = "" if attribute in ("info", "non_index_axes") else "/table"
+    check(
+        Case(
+            stored("deeplabcut-h5", {f"df_with_missing{place}@{attribute}": trap}),
+            "do not trust this file",
+        ),
+        tmp_path,
+    )
+    assert not (tmp_path / "trap").exists()
+    pickle.loads(bytes(trap))
+    assert (tmp_path / "trap").exists(), "the trap works"
+
+
+FOREIGN = {
+    "gzip": (b"\x1f\x8b\x08", "gunzip"),
+    "zip": (b"PK\x03\x04", "unpack"),
+    "MATLAB 7.3": (b"MATLAB 7.3 MAT-file", "-v7"),
+    "netCDF 3": (b"CDF\x01\x00", "netCDF 4"),
+    "a pickle": (pickle.dumps(Trap(Path("trap"))), "expected .*found"),
+    "a pickle of numpy": (b"\x93NUMPY" + pickle.dumps(Trap(Path("trap"))), "expected .*found"),
+    "nothing": (b"", "an empty file"),
+    "all bytes": (bytes(range(256)), "expected one of"),
+    "words": (b"hello, world", "expected one of"),
+    "null": (b"null", "expected one of"),
+    "a list": (b"[]", "expected one of"),
+    "deep": (b'{"images":' + b"[" * 100_000, "expected JSON"),
+    "no UTF-8": (b'{"images": "\xff\xfe"}', "UTF-8"),
+    "another version": (b'{"version": 1}', "one of: coco"),
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+@pytest.mark.parametrize("ending", ["json", "bin", "h5"])
+def test_another_file_is_named_with_what_to_do(tmp_path, monkeypatch, name, ending):
+    monkeypatch.chdir(tmp_path)
+    start, words = FOREIGN[name]
+    path = tmp_path / f"a.{ending}"
+    path.write_bytes(start + b"\0" * 200 * (name in ("gzip", "zip", "MATLAB 7.3", "netCDF 3")))
+    with pytest.raises(mc.FormatError, match=words) as refused:
+        mc.read_keypoints(path)
+    assert str(refused.value).startswith(f"{path}: expected ")
+    assert not (tmp_path / "trap").exists()
+
+
+BROKEN = {  # lists of a COCO file
+    "no images": {"images": []},
+    "images no list": {"images": {"a": 1}},
+    "images of numbers": {"images": [1, 2]},
+    "no categories": {"categories": []},
+    "a category without names": {"categories": [{"id": 1}]},
+    "two vocabularies": {"categories": [{"id": k, "keypoints": [f"{k}"]} for k in (1, 2)]},
+    "a name twice": {"categories": [{"id": 1, "keypoints": ["a", "b", "a"]}]},
+    "an id twice": {"images": [{"id": 0, "file_name": f"{k}.png"} for k in range(2)]},
+    "two sizes": {"images": [{"id": k, "width": 640 + k, "height": 480} for k in range(3)]},
+    "a size of text": {"images": [{"id": k, "width": "wide", "height": 4} for k in range(3)]},
+}
+POINT = {  # fields of the first annotation
+    "another length": {"keypoints": [1, 2, 1]},
+    "text for numbers": {"keypoints": ["null"] * 9},
+    "nested lists": {"keypoints": [[1, 2, 3]] * 9},
+    "an object": {"keypoints": {"x": 1}},
+    "huge numbers": {"keypoints": [10**400] * 9},
+    "another image": {"image_id": 77},
+}
+CROWD = {"annotations": [{"image_id": 0, "category_id": 1, "keypoints": [1, 2, 1] * 3}] * 1001}
+Z = [
+    tuple("z" if label == "likelihood" else label for label in each) for each in dlc_columns(NAMES)
+]
+DOUBLE = [(*labels[:-1], labels[-1] * 2) for labels in dlc_columns(NAMES)]
+ONLY_X = dlc_columns(NAMES)[::3]
+REFUSED = {
+    **{
+        name: Case(
+            text(coco([3, 4, 10], NAMES, POINTS, SCORES, **lists)), "expected .+, found .+; "
+        )
+        for name, lists in (*BROKEN.items(), ("a crowd", CROWD))
+    },
+    **{
+        name: annotated(
+            "expected .+, found .+; ",
+            lambda data, fields=fields: data["annotations"][0].update(fields),
+        )
+        for name, fields in POINT.items()
+    },
+    "3D": dlc("3D", columns=Z),
+    "another coordinate": dlc("expected", columns=DOUBLE),
+    "x without y": dlc("expected", columns=ONLY_X, values=dlc_values(P, C)[:, ::3]),
+    "a column twice": dlc("expected", columns=[*dlc_columns(NAMES)[:1], *dlc_columns(NAMES)[:-1]]),
+    "no data": dlc("expected", change=lambda x: x[:3]),
+    "no coords": dlc("expected", change=lambda x: [*x[:2], *x[3:]]),
+    "no body parts": dlc("expected", change=lambda x: [x[0], *x[2:]]),
+    "an empty heading": dlc(
+        "expected", change=lambda x: [x[0], x[1].replace("nose", "", 1), *x[2:]]
+    ),
+    "a word": dlc(
+        "expected", change=lambda x: [*x[:3], x[3].replace(x[3].split(",")[2], "abc"), *x[4:]]
+    ),
+    "a row without a number": dlc("expected", rows=["first", *FRAMES[1:]]),
+    "a quote without end": dlc("expected", change=lambda x: [*x, '"' + "x," * 200_000]),
+    "a header cell": row("scorer,", "expected"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_wrong_in_a_file_is_said(tmp_path, name):
+    check(REFUSED[name], tmp_path)
+
+
+def test_numbers_of_a_table_are_those_of_python_however_it_is_read(tmp_path):
+    """To the last bit: texts of 1 to 19 digits, plain or, for the careful reader, quoted."""
+    rng = random.Random(0)
+    texts = [repr(rng.uniform(1, 2000)) for _ in range(600)]
+    texts += [f"{rng.uniform(1, 2000):.18e}" for _ in range(600)]
+    texts += [f"{rng.randrange(1, 10**9)}e{rng.randrange(-9, 3)}" for _ in range(600)]
+    header = "scorer,s,s\nbodyparts,a,a\ncoords,x,y\n"
+    lines = [f"{k},{x},{y}\n" for k, (x, y) in enumerate(zip(texts[::2], texts[1::2], strict=True))]
+    first = lines[0].replace(texts[0], f'"{texts[0]}"')
+    wanted = np.array([float(each) for each in texts]).reshape(900, 1, 1, 2)
+    for name, rows in (("plain", lines), ("careful", [first, *lines[1:]])):
+        text(header + "".join(rows), f"{name}.csv")(tmp_path)
+        (view,) = mc.read_keypoints(tmp_path / f"{name}.csv")
+        np.testing.assert_array_equal(view.positions, wanted)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+@pytest.mark.parametrize("name", ["coco", "deeplabcut-csv"])
+def test_powershell_s_utf_16_is_read(tmp_path, name, encoding):
+    (path,) = write_sample(name, tmp_path, P, C)
+    mark = "\ufeff" * (encoding == "utf-16-be")
+    path.write_bytes((mark + path.read_text()).encode(encoding))
+    np.testing.assert_array_equal(mc.read_keypoints(path)[0].positions, P)
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(mc.FormatError):
+        mc.read_keypoints(path)
+
+
+def test_sleap_refuses_to_write_a_clock_that_starts_far_away(tmp_path):
+    write_sample("csv", tmp_path / "in", P, C)
+    late = mc.read_keypoints(tmp_path / "in", None, mc.ReadOptions(frame_offset={"cam": 42150}))
+    with pytest.raises(mc.MismatchError, match="near 0"):
+        mc.write(late, tmp_path / "out", "sleap")
+    assert not (tmp_path / "out").exists()
