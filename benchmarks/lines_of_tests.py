@@ -79,9 +79,9 @@ class LinesOfTests:
         self.coverage = coverage.Coverage(data_file=None, source=[str(root / "mocap_calib")])
         self.coverage.start()
         if here:
-            from mocap_calib.io import sandbox  # noqa: PLC0415 - that of the copy
+            from mocap_calib.io import crash_guard  # noqa: PLC0415 - that of the copy
 
-            sandbox.call_elsewhere = lambda parse, *args, **_limits: parse(*args)
+            crash_guard.guard = lambda parse, *args, **_limits: parse(*args)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:

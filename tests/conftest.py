@@ -15,8 +15,8 @@ from scenes import scene
 from threadpoolctl import threadpool_limits
 
 import mocap_calib.front  # noqa: F401 - binds rig.project and others, as the front door does
+from mocap_calib.io.crash_guard import _calls
 from mocap_calib.io.results.scene import write_scene
-from mocap_calib.io.sandbox import _calls
 
 # as the commands do: further threads of the libraries only spin when the machine has other work
 torch.set_num_threads(1)

@@ -21,8 +21,8 @@ from mocap_calib.io.cameras.source import (
     need_sizes,
     without_verdict,
 )
+from mocap_calib.io.crash_guard import guard
 from mocap_calib.io.registry import Written
-from mocap_calib.io.sandbox import call_elsewhere
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import CameraRig
@@ -35,9 +35,6 @@ _UNIT = b"# unit:"
 _UNIT_LENGTH = 40  # characters at most
 # COLMAP leaves out the last image of a text whose line of points is missing
 _LINE_OF_POINTS = b"\n\n"
-# what reading may take: seconds of computing, and bytes of memory, 160 MB of which are taken before
-_SECONDS, _BYTES_A_SECOND = 1.0, 1e6
-_MEMORY, _MEMORY_A_BYTE = 300_000_000, 100
 _NO_SPACES = (r"[^\s\x00-\x1f\x7f-\xa0\ud800-\udfff]+", "no spaces")
 _WITH_SPACES = "rename the camera, or write colmap-binary, which can hold spaces"
 _NO_CONTROLS = (r"[^\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "no control characters")
@@ -88,17 +85,17 @@ def _parse(source: Source, ending: str) -> CameraFile:
     with tempfile.TemporaryDirectory() as work:
         for name, content in own.items():
             (Path(work) / name).write_bytes(content)
-        return call_elsewhere(
+        return guard(
             _read_model,
             Path(work),
             with_images,
             unit,
             source.path,
-            what="a COLMAP model",
+            what="COLMAP model",
+            library="COLMAP",
             source=source.path,
             size=size,
-            cpu_seconds=_SECONDS + size / _BYTES_A_SECOND,
-            memory_bytes=_MEMORY + _MEMORY_A_BYTE * size,
+            packed=False,
         )
 
 

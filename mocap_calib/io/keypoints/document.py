@@ -18,9 +18,9 @@ from typing import Any, BinaryIO
 import h5py
 import msgspec
 
+from mocap_calib.io.crash_guard import HDF5
 from mocap_calib.io.file import Origin, decode, is_utf16, malformed, opened, read_bytes
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
-from mocap_calib.io.sandbox import HDF5
 from mocap_calib.recording.names import compose_name
 
 # beginnings of files that hold something else around what is wanted: what they are, what to do

@@ -10,6 +10,7 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.errors import MismatchError, MocapCalibError
+from mocap_calib.io.crash_guard import end_calls, guard_hdf5
 from mocap_calib.io.file import check_cameras, malformed
 from mocap_calib.io.keypoints.adjust import apply_offsets, convert_to_pixels, split_views
 from mocap_calib.io.keypoints.document import Item, ReadOptions
@@ -18,7 +19,6 @@ from mocap_calib.io.keypoints.items import keypoint_items
 from mocap_calib.io.keypoints.sniffing import require_format, sniff_item
 from mocap_calib.io.names import camera_name
 from mocap_calib.io.registry import find_format
-from mocap_calib.io.sandbox import call_contained, end_calls, keep_processes
 from mocap_calib.types import Keypoints2D, Reals
 
 
@@ -108,15 +108,14 @@ def _read_all(
 
     def read(item: Item) -> tuple[Keypoints2D, ...] | MocapCalibError:
         try:
-            return tuple(map(_keep, _read_contained(item, format, options)))
+            return tuple(map(_keep, _read_guarded(item, format, options)))
         except MocapCalibError as error:
             return error
 
     waiting = (items.pop(0) for _ in range(len(items)))  # an item holds its file
     for apart, some in groupby(waiting, _is_hdf5):
         if apart:
-            with keep_processes():
-                yield from map_in_threads(read, some)
+            yield from map_in_threads(read, some)
         else:
             yield from map(read, some)
 
@@ -129,12 +128,10 @@ def _is_hdf5(item: Item) -> bool:
         return False
 
 
-def _read_contained(
-    item: Item, format: str | None, options: ReadOptions
-) -> tuple[Keypoints2D, ...]:
+def _read_guarded(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the cameras in an item; HDF5 in another process."""
     start, size = item.document.start, item.document.size
-    return call_contained(start, size, str(item.path), _read, item, format, options)
+    return guard_hdf5(start, size, str(item.path), _read, item, format, options)
 
 
 def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:

@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.file import malformed
 from mocap_calib.io.keypoints.document import Document, Item, describe
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, KeypointFormat
 from mocap_calib.io.registry import find_format, format_names
-from mocap_calib.io.sandbox import call_contained
 
 
 def sniff_item(item: Item, format: str | None) -> Item:
@@ -21,7 +21,7 @@ def sniff_item(item: Item, format: str | None) -> Item:
         return item
     document = item.document
     try:
-        found = call_contained(
+        found = guard_hdf5(
             document.start, document.size, document.source, sniff_content, document, format
         )
     except FormatError:

@@ -14,9 +14,9 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError, one_line
+from mocap_calib.io.crash_guard import HDF5
 from mocap_calib.io.file import find_repeated, malformed
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
-from mocap_calib.io.sandbox import HDF5
 from mocap_calib.io.units import unit_factor
 from mocap_calib.recording.joints import choose_skeleton, edges_of_keypoints, match_names
 from mocap_calib.results import Poses3D

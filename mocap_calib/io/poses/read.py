@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.file import find_repeated, malformed, read_bytes
 from mocap_calib.io.poses import poses3d_h5
 from mocap_calib.io.poses.common import UNNAMED, PoseFile, check_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS, PoseFormat
 from mocap_calib.io.registry import find_format, read_names
-from mocap_calib.io.sandbox import call_contained
 from mocap_calib.io.units import ARBITRARY, refuse_unit
 from mocap_calib.results import Poses3D
 
@@ -44,7 +44,7 @@ def parse_poses(
     content: bytes, source: str, format: str | None = None, unit: str | None = None
 ) -> PoseFile:
     """Return what `load_poses` does of the content of a file; `source` stands for its path."""
-    file = call_contained(content, len(content), source, _parse, content, source, format)
+    file = guard_hdf5(content, len(content), source, _parse, content, source, format)
     if unit is None:
         return file
     if poses3d_h5.sniff(content) and file.poses.unit == ARBITRARY:
@@ -60,7 +60,7 @@ def parse_poses(
 def looks_like_poses(content: bytes) -> bool:
     """Return whether the content of a file is of one of the formats."""
     try:
-        return call_contained(content, len(content), "content", _sniff, content) != ""
+        return guard_hdf5(content, len(content), "content", _sniff, content) != ""
     except FormatError:
         return False
 
