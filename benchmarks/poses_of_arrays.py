@@ -56,7 +56,7 @@ def names_of(text: str, key: str) -> list[str]:
     for part in filter(None, key.split(".")):
         found = found.get(part) if isinstance(found, dict) else None
     if not isinstance(found, list):
-        raise FormatError(f"{text}: expected a list of names at {key or 'the top'}, found none")
+        raise FormatError(text, f"a list of names at {key or 'the top'}", "none", "check the key")
     return [str(name) for name in found]
 
 
@@ -80,7 +80,7 @@ def read_array(path: Path, name: str) -> Floats:
             found = found[int(part)] if part.isdigit() else found[part]
         return np.asarray(found, dtype=float)
     except (OSError, KeyError, ValueError, TypeError, IndexError) as error:
-        raise FormatError(f"{path}: expected an array {name}: {error}") from None
+        raise FormatError(path, f"an array {name}", str(error), "check its name") from None
 
 
 def as_poses(array: Floats, joints: int, path: Path) -> Floats:
@@ -91,7 +91,7 @@ def as_poses(array: Floats, joints: int, path: Path) -> Floats:
     for order in ((0, 1, 2), (0, 2, 1), (2, 1, 0), (2, 0, 1), (1, 0, 2), (1, 2, 0)):
         if array.ndim == len(order) and array.transpose(order).shape[1:] == (joints, 3):
             return array.transpose(order)
-    raise FormatError(f"{path}: expected poses of {joints} points, found shape {array.shape}")
+    raise FormatError(path, f"poses of {joints} points", f"shape {array.shape}", "check the names")
 
 
 if __name__ == "__main__":

@@ -85,7 +85,7 @@ def collect(folder: Path, every: int) -> dict[str, Any]:
     """
     motions = sorted(folder.glob("*/*.amc"))
     if not motions:
-        raise FormatError(f"{folder}: expected motions such as 07/07_01.amc, found none")
+        raise FormatError(folder, "motions such as 07/07_01.amc", "none", "check the folder")
     names = sorted({path.parent.name for path in motions})
     joints = load_skeleton("people").keypoints
     poses, subject, sequence = [], [], []
@@ -94,7 +94,7 @@ def collect(folder: Path, every: int) -> dict[str, Any]:
         try:
             found = joints_of(bones, *place(bones, read_motion(path, every), lengths))
         except KeyError as error:
-            raise FormatError(f"{path}: expected the bones of a person, found no {error}") from None
+            raise FormatError(path, "a person's bones", f"no {error}", "leave it out") from None
         poses.append(np.stack([found[name] for name in joints], 1).astype(np.float16))
         subject += [names.index(path.parent.name)] * len(poses[-1])
         sequence += [number] * len(poses[-1])
@@ -120,7 +120,7 @@ def read_skeleton(path: Path) -> tuple[float, Bones]:
             for name in children:
                 bones[name] = _bone(described[name], parent, metres)
     except (OSError, KeyError, ValueError, IndexError) as error:
-        raise FormatError(f"{path}: expected a skeleton in Acclaim's format: {error}") from None
+        raise FormatError(path, "an Acclaim skeleton", str(error), "copy it again") from None
     return metres, bones
 
 
@@ -172,7 +172,7 @@ def read_motion(path: Path, every: int) -> dict[str, Floats]:
                 frames[-1][words[0]] = [float(word) for word in words[1:]]
         return {name: np.array([f[name] for f in frames[::every]]) for name in frames[0]}
     except (OSError, KeyError, ValueError, IndexError) as error:
-        raise FormatError(f"{path}: expected a motion in Acclaim's format: {error}") from None
+        raise FormatError(path, "an Acclaim motion", str(error), "copy it again") from None
 
 
 # --- bodies

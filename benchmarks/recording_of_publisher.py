@@ -110,7 +110,10 @@ def of_detections(rig: CameraRig, files: Sequence[Keypoints2D], kind: str) -> Ma
     missing = set(rig.names) - set(by_camera)
     if missing:
         raise MismatchError(
-            f"expected detections of camera {min(missing)}, found those of {', '.join(by_camera)}"
+            "",
+            f"detections of camera {min(missing)}",
+            f"those of {', '.join(by_camera)}",
+            "add its file",
         )
     ordered = tuple(by_camera[name] for name in rig.names)
     last = 1 + max(int(file.frames[-1]) for file in ordered)
@@ -119,7 +122,9 @@ def of_detections(rig: CameraRig, files: Sequence[Keypoints2D], kind: str) -> Ma
     for view, file in enumerate(ordered):
         seen = np.isfinite(file.positions).all(-1).any(-1)
         if (seen.sum(1) > 1).any():
-            raise MismatchError(f"{file.source}: expected one detection in a frame, found several")
+            raise MismatchError(
+                file.source, "one detection in a frame", "several", "keep one individual"
+            )
         ids[view, file.frames, : seen.shape[1]] = np.where(seen, 0, -1)
     joints = ordered[0].keypoints
     return Made(rig, ordered, ids, joints, (kind,), np.full((last, 1, len(joints), 3), np.nan))
@@ -135,7 +140,7 @@ def read_panoptic(folder: Path) -> Floats:
     frames = [json.loads(path.read_text()) for path in sorted(folder.glob("body3DScene_*.json"))]
     numbers = sorted({body["id"] for frame in frames for body in frame["bodies"]})
     if not numbers:
-        raise MismatchError(f"{folder}: expected bodies in body3DScene_*.json, found none")
+        raise MismatchError(folder, "bodies in body3DScene_*.json", "none", "check the folder")
     poses = np.full((len(frames), len(numbers), len(PANOPTIC), 3), np.nan)
     for places, frame in zip(poses, frames, strict=True):
         for body in frame["bodies"]:

@@ -11,12 +11,44 @@ Every message is one line: what was expected, what came, what to do. Anything el
 is a mistake of the program and keeps its traceback.
 """
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
+
+# marks of an argument in a text: its name, its value, its end (characters that no text has)
+_NAME, _VALUE, _END = "\ue000", "\ue001", "\ue002"
+_ARGUMENT = re.compile(f"{_NAME}([^{_VALUE}]*){_VALUE}([^{_END}]*){_END}")
+_LONGEST = 300  # characters of what and found, which hold what files say
+# arguments of the command that have another name in Python
+_NAMES_IN_PYTHON = {"from": "format", "to": "format", "write": "format"}
+
+Spell = Callable[[str, str], str]
 
 
 class MocapCalibError(Exception):
-    """Base of all errors that a user can cause and mend."""
+    """A refusal: what a user can cause and correct.
+
+    what: the file, camera or argument that is refused; "" where the rest says it.
+    expected, found: what was expected, and what came instead.
+    remedy: what to do.
+
+    Arguments of functions stand in these texts as `argument` marks them.
+    """
+
+    def __init__(self, what: object, expected: str, found: object, remedy: str) -> None:
+        super().__init__(what, expected, found, remedy)
+        self.what, self.expected, self.found = str(what), expected, str(found)
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        return self.render(spell_in_python)
+
+    def render(self, spell: Spell) -> str:
+        """Return the message in one line, its arguments as `spell` writes them."""
+        what, found = (one_line(text, _LONGEST) for text in (self.what, self.found))
+        where = f"{what}: " if what else ""
+        line = f"{where}expected {self.expected}, found {found}; {self.remedy}"
+        return spell_arguments(" ".join(line.split()), spell)
 
 
 class FormatError(MocapCalibError):
@@ -34,16 +66,50 @@ class DegenerateError(MocapCalibError):
 class UnderconstrainedCameraError(DegenerateError):
     """A camera sees too little that agrees with others; without it they may be calibrated.
 
-    camera: its name.
+    what: the name of the camera.
     """
 
-    def __init__(self, message: str, camera: str) -> None:
-        super().__init__(message)
-        self.camera = camera
+    @property
+    def camera(self) -> str:
+        """The name of the camera."""
+        return self.what.removeprefix("camera ")
 
 
 class ClusterError(MocapCalibError):
     """The machines that work was sent to cannot do it."""
+
+
+def argument(name: str, value: str = "") -> str:
+    """Return the mark of an argument in a text, for `spell_arguments`.
+
+    name: of the argument in Python. value: which it should have, as a user types it.
+    """
+    return f"{_NAME}{name}{_VALUE}{value}{_END}"
+
+
+def spell_arguments(text: str, spell: Spell) -> str:
+    """Return a text with its marks of arguments written by `spell(name, value)`."""
+    return _ARGUMENT.sub(lambda found: spell(found[1], found[2]), text)
+
+
+def spell_as_option(name: str, value: str) -> str:
+    """Return an argument as an option of the command: `--camera-regex`, `--unit m`."""
+    return f"--{name.replace('_', '-')} {quote_for_shell(value)}".rstrip()
+
+
+def quote_for_shell(value: str) -> str:
+    """Return a value as it is typed: in quotes where a shell would change it."""
+    return f'"{value}"' if re.search(r"[^\w.,:=+/-]", value) else value
+
+
+def spell_in_python(name: str, value: str) -> str:
+    """Return an argument as a call in Python has it: `fps=`, `unit='m'`."""
+    camera, _, size = value.rpartition(":")
+    if size == "WIDTHxHEIGHT":
+        value = f"{{{camera!r}: (WIDTH, HEIGHT)}}" if camera else "(WIDTH, HEIGHT)"
+    elif value:
+        value = repr(value)
+    return f"{_NAMES_IN_PYTHON.get(name, name)}={value}"
 
 
 def suggest(name: str, known: Iterable[str]) -> str:

@@ -6,8 +6,7 @@ package itself calls the functions of the rooms.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mocap_calib import __version__
-from mocap_calib.errors import MismatchError, MocapCalibError
+from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.lens import project_points
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import load_cameras
@@ -50,11 +49,6 @@ if TYPE_CHECKING:
 
 Paths = str | Path | Sequence[str | Path]
 ImageSizes = tuple[int, int] | Mapping[str, tuple[int, int]]
-
-# options of the command in messages of the library, but for those in commands between backticks
-_OPTION = re.compile(r"(`[^`]*`)|(?<![\w-])--([a-z]+(?:-[a-z]+)*)")
-_SIZE = re.compile(r"image_size= (?:([^;]+?):)?WIDTHxHEIGHT")
-_ARGUMENTS = {"write": "format", "to": "format", "from": "format"}  # the others have the same name
 
 
 def read_recording(  # noqa: PLR0913 - each says one thing that files may leave open
@@ -100,25 +94,24 @@ def read_recording(  # noqa: PLR0913 - each says one thing that files may leave 
 
     sizes = image_size if isinstance(image_size, Mapping) else {}
     known = isinstance(cameras, CameraRig)
-    with _options_as_arguments():
-        options = ReadOptions(
-            layout=parse_layout(layout) if isinstance(layout, str) and layout else tuple(layout),
-            image_size=(0, 0) if isinstance(image_size, Mapping) else image_size,
-            image_sizes=sizes,
-            camera_pattern=_check_pattern(camera_regex),
-            frame_offset=frame_offset or {},
-            crop_offset=crop_offset or {},
-            views=tuple(views.split(",") if isinstance(views, str) and views else views),
-        )
-        source = KeypointSource(
-            paths=_list_paths(keypoints),
-            format=format,
-            options=options,
-            aliases=None if skeleton is None else Path(skeleton),
-            model=None if model == "auto" else str(model),
-            mends=tuple(mends),
-        )
-        return load_recording(source, _camera_file(cameras), only_known_cameras=known).recording
+    options = ReadOptions(
+        layout=parse_layout(layout) if isinstance(layout, str) and layout else tuple(layout),
+        image_size=(0, 0) if isinstance(image_size, Mapping) else image_size,
+        image_sizes=sizes,
+        camera_pattern=_check_pattern(camera_regex),
+        frame_offset=frame_offset or {},
+        crop_offset=crop_offset or {},
+        views=tuple(views.split(",") if isinstance(views, str) and views else views),
+    )
+    source = KeypointSource(
+        paths=_list_paths(keypoints),
+        format=format,
+        options=options,
+        aliases=None if skeleton is None else Path(skeleton),
+        model=None if model == "auto" else str(model),
+        mends=tuple(mends),
+    )
+    return load_recording(source, _camera_file(cameras), only_known_cameras=known).recording
 
 
 def write(
@@ -146,19 +139,18 @@ def write(
     """
     path = Path(path)
     check_rate(fps)
-    with _options_as_arguments():
-        if isinstance(thing, CalibrationResult):
-            _refuse_arguments(thing, individuals=individuals)
-            return _write_result(thing, path, format, fps)
-        if isinstance(thing, Poses3D):
-            file = describe_poses(thing, fps, individuals)
-            return write_poses(path, file, format or choose_format("poses", path, "format="))
-        _refuse_arguments(thing, fps=fps, individuals=individuals)
-        if isinstance(thing, CameraRig):
-            form = format or choose_format("cameras", path, "format=")
-            return write_cameras(path, thing, form, _provenance_of(thing, verdict))
-        views = _list_views(thing)
-        return write_keypoints(path, views, format or choose_format("keypoints", path, "format="))
+    if isinstance(thing, CalibrationResult):
+        _refuse_arguments(thing, individuals=individuals)
+        return _write_result(thing, path, format, fps)
+    if isinstance(thing, Poses3D):
+        file = describe_poses(thing, fps, individuals)
+        return write_poses(path, file, format or choose_format("poses", path))
+    _refuse_arguments(thing, fps=fps, individuals=individuals)
+    if isinstance(thing, CameraRig):
+        form = format or choose_format("cameras", path)
+        return write_cameras(path, thing, form, _provenance_of(thing, verdict))
+    views = _list_views(thing)
+    return write_keypoints(path, views, format or choose_format("keypoints", path))
 
 
 def _provenance_of(rig: CameraRig, result: CalibrationResult | None) -> dict[str, Any]:
@@ -207,38 +199,16 @@ def _write_result(
     for each in (*CAMERA_FORMATS, *POSE_FORMATS):
         if each.name == format and each.unit and unit == ARBITRARY:
             raise MismatchError(
-                f"format={format}: expected a format that leaves the unit of length open, found "
-                f"one in {each.unit}, and a result does not know lengths; write the {each.kind} "
-                "of a group by themselves, after .scale(factor, unit)"
+                f"format={format}",
+                "a format that leaves the unit of length open",
+                f"one in {each.unit}, and a result does not know lengths",
+                f"write the {each.kind} of a group by themselves, after .scale(factor, unit)",
             )
     check_formats(formats, fps, unit)
     groups = write_result(path, result, inputs={}, described={}, formats=formats, fps=fps)
     for error in groups[0].refused.values():
         raise error
     return tuple(note for group in groups for note in group.notes)
-
-
-@contextmanager
-def _options_as_arguments() -> Iterator[None]:
-    """Let messages that name options of the command (`--fps`) name arguments (`fps=`)."""
-    try:
-        yield
-    except MocapCalibError as error:
-        said = _OPTION.sub(_name_argument, str(error))
-        error.args = (_SIZE.sub(_write_size, said),)
-        raise
-
-
-def _name_argument(option: re.Match[str]) -> str:
-    """Return the argument that an option is in Python; a command in backticks stays as it is."""
-    command, name = option.groups()
-    return command or f"{_ARGUMENTS.get(name, name.replace('-', '_'))}="
-
-
-def _write_size(found: re.Match[str]) -> str:
-    """Return an image size as Python has it."""
-    size = f"{{{found[1]!r}: (WIDTH, HEIGHT)}}" if found[1] else "(WIDTH, HEIGHT)"
-    return f"image_size={size}"
 
 
 def _list_paths(keypoints: Paths) -> tuple[str, ...]:
@@ -269,7 +239,7 @@ def _check_pattern(pattern: str) -> str:
         re.compile(pattern)
     except re.error as error:
         raise MismatchError(
-            f"camera_regex: expected a regular expression, found {pattern} ({error}); mend it"
+            "camera_regex", "a regular expression", f"{pattern} ({error})", "mend it"
         ) from None
     return pattern
 

@@ -190,7 +190,7 @@ def test_without_cameras_their_intrinsics_are_a_guess_that_is_estimated(files, m
 
     def stop(sample, lifted, config, **others):  # noqa: ARG001
         asked.append(config.intrinsics.refine)
-        raise mocap_calib.DegenerateError
+        raise mocap_calib.DegenerateError("", "", "", "")
 
     monkeypatch.setattr(pipeline, "calibrate_view_graph", stop)
     given = mocap_calib.read_recording(files / "keypoints", files / "rig.toml")
@@ -288,7 +288,9 @@ def test_what_cannot_be_written_is_said_in_a_line(files, tmp_path):
     view = mocap_calib.read_keypoints(files / "keypoints")[0]
     with pytest.raises(mocap_calib.MismatchError, match="or format= and one of"):
         mocap_calib.write(rig, tmp_path / "rig.txt")
-    with pytest.raises(mocap_calib.MismatchError, match="say format=deeplabcut-csv or format=csv"):
+    with pytest.raises(
+        mocap_calib.MismatchError, match="say format='deeplabcut-csv' or format='csv'"
+    ):
         mocap_calib.write(view, tmp_path / "view.csv")
     with pytest.raises(mocap_calib.MismatchError, match=r"found none; say it with fps=$"):
         mocap_calib.write(_poses(), tmp_path / "poses.trc")

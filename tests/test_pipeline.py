@@ -208,7 +208,7 @@ def test_an_underconstrained_camera_is_named_and_the_rest_is_tried(monkeypatch):
     def refusing(_, rig, *__, **___):
         tried.append(rig.names)
         if len(rig.names) == 4:
-            raise UnderconstrainedCameraError("camera cam3: too little", "cam3")
+            raise UnderconstrainedCameraError("camera cam3", "keypoints", "few", "record more")
         return rig
 
     monkeypatch.setattr("mocap_calib.adjust.refine.adjust_once", refusing)

@@ -27,7 +27,7 @@ from mocap_calib.config import (
     SyncMode,
     ViewGraphConfig,
 )
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, argument, spell_as_option
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.file import decode, read_bytes
@@ -70,7 +70,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         fps, _ = parse_rates(options.fps)
         check_formats(options.write, fps, world.stated_unit)
     except MismatchError as error:
-        raise click.UsageError(str(error)) from None
+        raise click.UsageError(error.render(spell_as_option)) from None
     intrinsics = intrinsics_config(options)
     return CalibrationRequest(
         keypoints=keypoint_source(options),
@@ -206,8 +206,10 @@ def _frames_of_rig(recording: Recording, file: CameraFile, reporter: Reporter) -
     held = np.flatnonzero((recording.frames >= first) & (recording.frames <= last))
     if not len(held):
         raise MismatchError(
-            f"--rig: holds for the frames {first} to {last}, found {recording.frames[0]} to "
-            f"{recording.frames[-1]}; a camera was moved: give the rig of these frames"
+            argument("rig"),
+            f"frames {first} to {last}, for which it holds, as a camera was moved",
+            f"{recording.frames[0]} to {recording.frames[-1]}",
+            "give the rig of these frames",
         )
     if len(held) < len(recording.frames):
         reporter.say(f"frames {first} to {last}: a camera was moved, the rig holds for these alone")

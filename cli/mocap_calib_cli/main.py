@@ -8,7 +8,7 @@ import importlib
 import io
 import os
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -54,6 +54,16 @@ class LazyGroup(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names in the order of the list."""
         return list(COMMANDS)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; what a user can correct ends in a line, and status 1."""
+        try:
+            return super().invoke(ctx)
+        except (MocapCalibError, OSError) as error:
+            line = explain(error, self.get_command(ctx, ctx.invoked_subcommand or ""))
+            if line is None:
+                raise
+            ctx.exit(_complain(line, 1))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import the module of a command, and return the command."""
@@ -150,10 +160,6 @@ def _run_command() -> int:
     except BrokenPipeError:
         sys.stdout = None  # the reader has gone: flushing at exit would complain
         return 1
-    except (MocapCalibError, OSError) as error:
-        if not (line := explain(error)):
-            raise
-        return _complain(line, 1)
     return status or 0
 
 

@@ -2,7 +2,9 @@
 
 import errno
 
-from mocap_calib.errors import MocapCalibError
+import click
+
+from mocap_calib.errors import MocapCalibError, quote_for_shell, spell_as_option
 
 _REMEDIES = {
     errno.ENOENT: "expected a file or folder, found none; check the path",
@@ -19,10 +21,20 @@ _REMEDIES = {
 }
 
 
-def explain(error: Exception) -> str | None:
-    """Return the line for a user's mistake; None for one of the program, which gets a traceback."""
+def explain(error: Exception, command: click.Command | None = None) -> str | None:
+    """Return the line for a user's mistake; None for one of the program, which gets a traceback.
+
+    command: whose parameters the arguments in the line are, by their names.
+    """
+    options = {} if command is None else {each.name: each.opts[-1] for each in command.params}
+
+    def spell(name: str, value: str) -> str:
+        if name not in options:
+            return spell_as_option(name, value)
+        return f"{options[name]} {quote_for_shell(value)}".rstrip()
+
     if isinstance(error, MocapCalibError):
-        return " ".join(str(error).split())
+        return error.render(spell)
     if isinstance(error, OSError) and error.errno in _REMEDIES:
         return f"{error.filename or 'a file'}: {_REMEDIES[error.errno]}"
     return None

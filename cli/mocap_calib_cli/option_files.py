@@ -5,6 +5,7 @@ parameters of the command: an option that is added to it can stand in a file at 
 """
 
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -160,8 +161,11 @@ def _refusal(key: str, entry: "Entry", message: str, text: str = "") -> Exceptio
     from mocap_calib.errors import FormatError
 
     found = text or next((each for each in entry.texts if message.endswith(each)), "")
-    remedy = "" if ";" in message else "; mend that line"
-    return FormatError(f"{entry.place(found)}: {key}: {message}{remedy}")
+    said = re.fullmatch(r"(?:expected )?(.*?)(?:, found (.*?))?(?:; (.*))?", message, re.DOTALL)
+    expected, came, remedy = said.groups() if said else (message, None, None)
+    return FormatError(
+        f"{entry.place(found)}: {key}", expected, came or found, remedy or "correct that line"
+    )
 
 
 def _explain(kind: click.ParamType[Any], text: str, error: click.BadParameter) -> str:
@@ -224,8 +228,7 @@ def save_options(context: click.Context, path: Path) -> None:
     text = format_options(context, path)
     if path.is_file() and path.read_bytes() != text.encode():
         raise MismatchError(
-            f"{path}: expected a new file, found one that says something else; "
-            "remove it or choose another name"
+            path, "a new file", "one that says something else", "remove it or choose another name"
         )
     write_bytes(path, text.encode())
 

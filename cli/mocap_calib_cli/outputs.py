@@ -37,9 +37,7 @@ def check_text(output: str | None) -> None:
 def check_file(path: Path) -> None:
     """Raise MismatchError or OSError where a file could not be written."""
     if path.is_dir():
-        raise MismatchError(
-            f"{path}: expected a file to write, found a folder; give a name within it"
-        )
+        raise MismatchError(path, "a file to write", "a folder", "give a name within it")
     _check_writable(path.absolute().parent)
 
 
@@ -47,8 +45,7 @@ def check_poses(path: Path) -> None:
     """Raise MismatchError or OSError where `write_poses` could not write a file."""
     if path.suffix not in (".h5", ".csv"):
         raise MismatchError(
-            f"{path}: expected a name that ends in .h5 or .csv, "
-            f"found {path.suffix or 'no ending'}; rename it"
+            path, "a name that ends in .h5 or .csv", path.suffix or "no ending", "rename it"
         )
     check_file(path)
 
@@ -83,9 +80,7 @@ def write_poses(path: Path, poses: "Poses3D", recording: "Recording", stage: str
 def check_folder(path: Path) -> None:
     """Raise MismatchError or OSError where a folder could not be made and filled."""
     if path.exists() and not path.is_dir():
-        raise MismatchError(
-            f"{path}: expected a folder to write, or a new name, found a file; choose another"
-        )
+        raise MismatchError(path, "a folder to write, or a new name", "a file", "choose another")
     _check_writable(path.absolute().parent)
     if path.exists():
         _check_writable(path)
@@ -104,12 +99,11 @@ def _check_writable(folder: Path) -> None:
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():
-        raise MismatchError(f"{folder}: expected a folder, found a file; choose another path")
+        raise MismatchError(folder, "a folder", "a file", "choose another path")
     try:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".mocap-calib."):
             pass
     except OSError as error:
         raise MismatchError(
-            f"{folder}: expected a folder that can be written to, found: {error.strerror}; "
-            "choose another"
+            folder, "a folder that can be written to", str(error.strerror), "choose another"
         ) from None

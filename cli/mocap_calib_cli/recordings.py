@@ -74,8 +74,10 @@ def _name_recordings(recordings: Iterable[str]) -> dict[str, Path]:
         name = path.resolve().name
         if name in found:
             raise MismatchError(
-                f"expected recordings of different names, found {found[name]} and {path}; "
-                "rename one, or call batch for each"
+                "",
+                "recordings of different names",
+                f"{found[name]} and {path}",
+                "rename one, or call batch for each",
             )
         found[name] = path
     return found

@@ -48,8 +48,10 @@ def _connect(scheduler: str) -> "AbstractContextManager[Cluster]":
         from mocap_calib.compute import cluster
     except ModuleNotFoundError as error:
         raise ClusterError(
-            f"--scheduler: expected the package {error.name}, found none; "
-            "pip install 'mocap-calib[distributed]'"
+            "--scheduler",
+            f"the package {error.name}",
+            "none",
+            "pip install 'mocap-calib[distributed]'",
         ) from None
     # what it has to say comes as an error, in one line; its import has set these levels itself
     for logger in ("distributed", "distributed.client"):

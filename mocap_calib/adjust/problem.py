@@ -139,8 +139,10 @@ def choose_problem(
     """
     if matches.individuals == 0:
         raise DegenerateError(
-            "expected bodies that two views agree on, found none; "
-            "check that the files belong to these cameras and to the same time"
+            "",
+            "bodies that two views agree on",
+            "none",
+            "check that the files belong to these cameras and to the same time",
         )
     in_frame = per_frame_labels(matches)  # who it is in other frames does not matter here
     frames = _choose_frames(sample, in_frame, points or config.adjust.points)
@@ -225,7 +227,8 @@ def _check_every_camera(rig: CameraRig, used: Bools, least: int) -> None:
     if count[view] < least:
         name = rig.names[view]
         raise UnderconstrainedCameraError(
-            f"camera {name}: expected at least {least} keypoints that agree with other views, "
-            f"found {count[view]}; leave it out or record longer",
-            name,
+            f"camera {name}",
+            f"at least {least} keypoints that agree with other views",
+            count[view],
+            "leave it out or record longer",
         )

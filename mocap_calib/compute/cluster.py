@@ -30,8 +30,10 @@ R = TypeVar("R")
 _LARGE_PIECES = {"distributed.admin.large-graph-warning-threshold": "100 GB"}
 _PATIENCE = "10s"  # until a scheduler answers
 _GONE = (
-    "expected a scheduler that answers to the end, found it gone; "
-    "start it again, and then this command: what is finished is kept"
+    "",
+    "a scheduler that answers to the end",
+    "it gone",
+    "start it again, and then this command: what is finished is kept",
 )
 # pieces under way at least, so that a growing cluster finds work; else two for each thread
 _LEAST_UNDER_WAY = 8
@@ -77,7 +79,7 @@ class Cluster:
         refill()
         for future in queue:
             if future.cancelled():
-                raise ClusterError(_GONE)
+                raise ClusterError(*_GONE)
             yield under_way.pop(future.key), partial(_result, future)
             refill()
 
@@ -101,16 +103,20 @@ def cluster(address: str) -> Iterator[Cluster]:
             get_address_host_port(address, strict=True)
         except ValueError as error:
             raise ClusterError(
-                f"expected the address of a Dask scheduler (tcp://HOST:PORT), found {address} "
-                f"({error}); it says it when it starts"
+                "",
+                "the address of a Dask scheduler (tcp://HOST:PORT)",
+                f"{address} ({error})",
+                "it says it when it starts",
             ) from None
         _check_certificate(address)
         try:
             client = Client(address, timeout=_PATIENCE, set_as_default=False)
         except OSError as error:
             raise ClusterError(
-                f"{address}: expected a Dask scheduler, found none that answers ({error}); "
-                "start it with `dask scheduler`"
+                address,
+                "a Dask scheduler",
+                f"none that answers ({error})",
+                "start it with `dask scheduler`",
             ) from None
         with client:
             yield Cluster(client)
@@ -120,9 +126,11 @@ def _check_certificate(address: str) -> None:
     """Raise ClusterError where the address asks for TLS and nobody said by which certificate."""
     if address.startswith("tls://") and not Security().get_connection_args("client")["ssl_context"]:
         raise ClusterError(
-            f"{address}: expected a certificate for TLS in Dask's configuration, found none; "
+            address,
+            "a certificate for TLS in Dask's configuration",
+            "none",
             "set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, ..._CLIENT__CERT and ..._CLIENT__KEY "
-            "(docs/many-recordings.md)"
+            "(docs/many-recordings.md)",
         )
 
 
@@ -132,7 +140,7 @@ def _answering() -> Iterator[None]:
     try:
         yield
     except OSError:
-        raise ClusterError(_GONE) from None
+        raise ClusterError(*_GONE) from None
 
 
 def _compute(program: str, work: bytes) -> Any:
@@ -142,8 +150,10 @@ def _compute(program: str, work: bytes) -> Any:
     """
     if program != identify_program():
         raise ClusterError(
-            f"expected mocap-calib {program} on every worker, found {identify_program()}; "
-            "install the same there"
+            "",
+            f"mocap-calib {program} on every worker",
+            identify_program(),
+            "install the same there",
         )
     function, item = loads(work)
     return function(item)
@@ -154,16 +164,20 @@ def _result(future: "Future[R]") -> R:
         return future.result()
     except KilledWorker as error:
         raise ClusterError(
-            f"expected workers that survive the work, found {error.allowed_failures + 1} "
-            "killed by the same piece; give them more memory"
+            "",
+            "workers that survive the work",
+            f"{error.allowed_failures + 1} killed by the same piece",
+            "give them more memory",
         ) from None
     except (CancelledError, CommClosedError):  # gone before the result, or while it is fetched
-        raise ClusterError(_GONE) from None
+        raise ClusterError(*_GONE) from None
     except (ModuleNotFoundError, RuntimeError) as error:
         missing = error.__cause__ or error  # the scheduler tells of it in its own words
         if not isinstance(missing, ModuleNotFoundError):
             raise
         raise ClusterError(
-            "expected the same packages where the scheduler and the workers are as here, "
-            f"found {missing}; install mocap-calib there"
+            "",
+            "the same packages where the scheduler and the workers are as here",
+            missing,
+            "install mocap-calib there",
         ) from None

@@ -160,8 +160,10 @@ class Processes:
             return worker.call(function, item)
         except WorkerEndedError as error:
             raise ClusterError(
-                f"expected a process that survives the work, found it ended by {error}; "
-                "give it more memory, or do less at a time"
+                "",
+                "a process that survives the work",
+                f"it ended by {error}",
+                "give it more memory, or do less at a time",
             ) from None
         finally:
             self._idle.append(worker)

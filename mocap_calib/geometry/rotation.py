@@ -157,7 +157,7 @@ def align_by_similarity(source: Floats, target: Floats) -> Similarity:
     variance = (x**2).sum()
     if variance < 1e-18:
         raise DegenerateError(
-            "alignment: expected points in different places, all of them coincide"
+            "alignment", "points in different places", "all of them in one", "use other points"
         )
     rotation = nearest_rotation(y.T @ x)
     scale = float(np.trace(rotation @ x.T @ y) / variance)

@@ -52,8 +52,10 @@ def describe_reference(reference: Reference, rig: CameraRig) -> dict[str, Any]:
     names = [name for name in rig.names if name in reference.rig]
     if len(names) < 2:
         raise MismatchError(
-            f"{reference.title}: expected at least two cameras of {', '.join(rig.names)}, found "
-            f"{', '.join(reference.rig.names)}; match their names"
+            reference.title,
+            f"at least two cameras of {', '.join(rig.names)}",
+            ", ".join(reference.rig.names),
+            "match their names",
         )
     other = lay_over(reference.rig, rig, names)
     ours, theirs = rig.select(names), other.select(names)

@@ -58,8 +58,10 @@ def finalise_identities(
     real = _last_long(individual, pieces, views, len(labels))
     if not real.any():
         raise DegenerateError(
-            "expected bodies that two views agree on, found none for more than a moment; "
-            "record longer, or with more overlap"
+            "",
+            "bodies that two views agree on",
+            "none for more than a moment",
+            "record longer, or with more overlap",
         )
     order = np.argsort(-(views > 0).sum(0) * real, kind="stable")  # most seen first
     names = np.full(len(order), -1)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from mocap_calib.errors import spell_arguments, spell_as_option
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -17,12 +19,12 @@ class Finding:
 
 def critical(message: str) -> Finding:
     """Return a finding without whose remedy a run could not work."""
-    return Finding(critical=True, message=message)
+    return Finding(critical=True, message=spell_arguments(message, spell_as_option))
 
 
 def warning(message: str) -> Finding:
     """Return a finding that a run survives."""
-    return Finding(critical=False, message=message)
+    return Finding(critical=False, message=spell_arguments(message, spell_as_option))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS, TYPICAL_PERCENTILE, SampleConfig
-from mocap_calib.errors import MismatchError, count
+from mocap_calib.errors import MismatchError, argument, count, spell_as_option
 from mocap_calib.inspection.contents import seen_points
 from mocap_calib.inspection.finding import Finding, InspectConfig, critical, warning
 from mocap_calib.inspection.view_pairs import find_clock_problems, find_poor_views
@@ -133,7 +133,7 @@ def _find_other_scales(usable: Sequence[Keypoints2D], config: InspectConfig) -> 
         try:
             check_pixels(view)
         except MismatchError as error:
-            found.append(critical(str(error)))
+            found.append(critical(error.render(spell_as_option)))
             continue
         width, height = view.image_size
         points = np.abs(view.positions[seen_points(view)])
@@ -141,8 +141,8 @@ def _find_other_scales(usable: Sequence[Keypoints2D], config: InspectConfig) -> 
         if width and outside > config.outside:
             found.append(
                 warning(
-                    f"{view.camera}: {outside:.0%} of the points lie outside its image of "
-                    f"{width} x {height}; check its size, or say --crop-offset"
+                    f"{view.camera}: {outside:.0%} of the points lie outside its image of {width} "
+                    f"x {height}; check its size, or say {argument('crop_offset')}"
                 )
             )
     return found
@@ -201,8 +201,8 @@ def _find_name_problems(
     if len(usable) < 2:
         return []
     remedy = (
-        "give them one name in all files, or map them with --skeleton "
-        "where they are joints of a model (docs/skeletons.md)"
+        f"give them one name in all files, or map them with {argument('skeleton')} where they are "
+        "joints of a model (docs/skeletons.md)"
     )
     unshared = unshared_keypoints(usable, meanings)
     shared = _shared_names(usable, meanings, unshared)
@@ -215,13 +215,13 @@ def _find_name_problems(
     try:
         check_shared_keypoints(shared)
     except MismatchError as error:
-        return [critical(str(error)), *found]
+        return [critical(error.render(spell_as_option)), *found]
     if known_joints < LEAST_JOINTS:
         found.append(
             warning(
-                f"the models ({', '.join(SHIPPED)}) know {known_joints} of the joints: "
-                "calibrated by geometry alone; "
-                "map those that are joints of a model with --skeleton (docs/skeletons.md)"
+                f"the models ({', '.join(SHIPPED)}) know {known_joints} of the joints: calibrated "
+                "by geometry alone; map those that are joints of a model with "
+                f"{argument('skeleton')} (docs/skeletons.md)"
             )
         )
     return found
@@ -254,7 +254,7 @@ def _find_camera_problems(
         sample_frames = choose_sample_frames(recording, SampleConfig())
         check_joints(recording.select(frames=sample_frames))
     except MismatchError as error:
-        return [critical(str(error))]
+        return [critical(error.render(spell_as_option))]
     matched = match_cameras(views, cameras)
     idle = [camera.name for camera in cameras if camera.name not in matched]
     if not idle:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.errors import count
+from mocap_calib.errors import argument, count
 from mocap_calib.geometry.epipolar import fundamental_matrix
 from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.inspection.finding import Finding, InspectConfig, critical, warning
@@ -34,9 +34,9 @@ def find_clock_problems(
     if most == 0:
         return [
             critical(
-                f"no two cameras see anything in the same frame ({_frame_ranges(usable)}); "
-                "number the frames of all cameras on one clock (--frame-offset), "
-                "or check that the files are of one recording"
+                f"no two cameras see anything in the same frame ({_frame_ranges(usable)}); number "
+                f"the frames of all cameras on one clock ({argument('frame_offset')}), or check "
+                "that the files are of one recording"
             )
         ]
     return [
@@ -128,8 +128,9 @@ def _find_other_frames(usable: Sequence[Keypoints2D]) -> list[Finding]:
         late = next(view.camera for view in usable if view.frames[0] == second)
         return [
             warning(
-                f"equally long recordings start at frame {first} and at frame {second} ({ranges}); "
-                f"say --frame-offset {late}:-1 for each such camera, if they count from 1"
+                f"equally long recordings start at frame {first} and at frame {second} "
+                f"({ranges}); say {argument('frame_offset', f'{late}:-1')} for each such camera, "
+                "if they count from 1"
             )
         ]
     ends = {(int(view.frames[0]), int(view.frames[-1])) for view in usable}

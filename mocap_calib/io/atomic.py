@@ -88,8 +88,10 @@ def check_no_other_files(path: Path, names: Collection[str], suffixes: Collectio
         is_read = file.suffix.lower() in suffixes and file.is_file()
         if is_read and not hidden and compose_name(inside.as_posix()) not in own:
             raise MismatchError(
-                f"{path}: expected a new folder or one with the same files, "
-                f"found {inside.as_posix()}: choose another or remove it"
+                path,
+                "a new folder or one with the same files",
+                inside.as_posix(),
+                "choose another or remove that file",
             )
 
 
@@ -116,8 +118,10 @@ def check_no_further_individual(path: Path, individuals: int) -> None:
         if further.exists():
             beside = path.name if individuals == 1 else first.name
             raise MismatchError(
-                f"{further}: expected no file of a further individual beside {beside}, found one; "
-                "remove it or choose another name"
+                further,
+                f"no file of a further individual beside {beside}",
+                "one",
+                "remove it or choose another name",
             )
 
 

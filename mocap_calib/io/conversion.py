@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import MismatchError, count
+from mocap_calib.errors import MismatchError, argument, count
 from mocap_calib.io.atomic import check_no_further_individual
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content, read_rig
@@ -92,7 +92,7 @@ def convert_cameras(
     rig = make_rig(_fill_sizes(found, image_size, name), name)
     points = found.points
     if unit is not None:
-        factor = unit_factor(rig.unit, unit, f"{name}: --unit {unit}")
+        factor = unit_factor(rig.unit, unit, f"{name}: {argument('unit', unit)}")
         rig = rig.scale(factor, unit)
         points = replace(points, positions=factor * points.positions)
     provenance = {**(provenance or {}), **found.judgement}
@@ -144,7 +144,7 @@ def convert_poses(
     if find_format(POSE_FORMATS, to).rig and not isinstance(sources, bytes):
         file = _add_cameras(file, sources[0])
     if unit is not None:
-        file = convert_unit(file, unit, f"{name}: --unit {unit}")
+        file = convert_unit(file, unit, f"{name}: {argument('unit', unit)}")
     if fps is not None:
         file = fill_rate(file, fps, name)
     if up is not None:
@@ -215,8 +215,10 @@ def _fill_sizes(found: CameraFile, size: tuple[int, int], source: str) -> Camera
         return found
     if not any(0 in camera.size for camera in found.cameras):
         raise MismatchError(
-            f"{source}: expected cameras without an image size, for --image-size, "
-            "found one for each; leave it out"
+            source,
+            f"cameras without an image size, for {argument('image_size')}",
+            "one for each",
+            "leave it out",
         )
     cameras = (
         replace(camera, size=size) if 0 in camera.size else camera for camera in found.cameras
@@ -267,8 +269,10 @@ def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | N
             paths.append(source)
     if not paths:
         raise MismatchError(
-            f"{sources[0]}: expected files of poses ({', '.join(sorted(endings))}), found none; "
-            "give the files themselves"
+            sources[0],
+            f"files of poses ({', '.join(sorted(endings))})",
+            "none",
+            "give the files themselves",
         )
     files = [parse_poses(read_bytes(path), str(path), format, unit) for path in paths]
     return join_individuals(files, ", ".join(map(str, paths)))
@@ -281,8 +285,10 @@ def fill_rate(file: PoseFile, fps: float, source: str) -> PoseFile:
     """
     if np.isfinite(file.rate) and file.rate != fps:
         raise MismatchError(
-            f"{source}: expected {file.rate:g} frames per second, as the file says, "
-            f"found --fps {fps:g}; leave it out"
+            source,
+            f"{file.rate:g} frames per second, as the file says",
+            f"{argument('fps', f'{fps:g}')}",
+            "leave it out",
         )
     return replace(file, rate=fps)
 

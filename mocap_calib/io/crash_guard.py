@@ -13,7 +13,7 @@ from threading import BoundedSemaphore, Lock
 from typing import TypeVar, TypeVarTuple
 
 from mocap_calib.compute.worker import Worker, WorkerEndedError
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError
 from mocap_calib.io.hdf5 import DEFLATE
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -73,11 +73,11 @@ def guard(
     except MemoryError:
         expected = "a file that fits into memory"
         found = f"{size} bytes that claim to unpack to more"
-        raise malformed(source, expected, found, "check that it is whole, or split it") from None
+        raise FormatError(source, expected, found, "check that it is whole, or split it") from None
     except WorkerEndedError as end:
         verb = "took too long" if str(end) == _OUT_OF_TIME else "crashed"
         found = f"that the {library} library {verb} on it ({end})"
-        raise malformed(source, f"a whole {what}", found, "copy or export it again") from None
+        raise FormatError(source, f"a whole {what}", found, "copy or export it again") from None
 
 
 def end_calls() -> None:

@@ -12,7 +12,7 @@ from typing import BinaryIO
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.errors import FormatError, one_line
+from mocap_calib.errors import FormatError, argument, one_line
 from mocap_calib.io.missing import MISSING_CUSTOMS, mark_missing
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
@@ -30,14 +30,6 @@ _NOT_WHOLE = r"-[0-9.]+|[0-9]*\.[0-9]+"
 
 
 # --- complaints
-
-
-def malformed(source: str, expected: str, found: object, remedy: str) -> FormatError:
-    """Return a complaint about a file: where, what was expected, what came, what to do."""
-    return FormatError(
-        f"{one_line(source, 300)}: expected {one_line(expected, 200)}, "
-        f"found {one_line(found, 200)}; {one_line(remedy, 200)}"
-    )
 
 
 # --- paths and content
@@ -77,12 +69,12 @@ def opened(path: Path) -> Iterator[BinaryIO]:
         with path.open("rb") as file:
             yield file
     except FileNotFoundError:
-        raise malformed(str(path), "a file or folder", "none", "check the path") from None
+        raise FormatError(str(path), "a file or folder", "none", "check the path") from None
     except IsADirectoryError:
-        raise malformed(str(path), "a file", "a folder", "give a file in it") from None
+        raise FormatError(str(path), "a file", "a folder", "give a file in it") from None
     except (OSError, ValueError) as error:
         found = getattr(error, "strerror", None) or error
-        raise malformed(str(path), "a readable file", found, "check the path") from None
+        raise FormatError(str(path), "a readable file", found, "check the path") from None
 
 
 def decode(content: bytes, source: str) -> str:
@@ -91,7 +83,7 @@ def decode(content: bytes, source: str) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         found = f"byte {content[error.start]:#04x} at {error.start}"
-        raise malformed(source, "UTF-8 text", found, "save it as UTF-8") from None
+        raise FormatError(source, "UTF-8 text", found, "save it as UTF-8") from None
 
 
 # --- names and numbers
@@ -137,12 +129,12 @@ def frame_order(frames: Ints, names: Sequence[object], source: str) -> Ints:
     if twice.size:
         first, second = order[twice[0]], order[twice[0] + 1]
         places = f"{one_line(names[first], 60)} and {one_line(names[second], 60)}"
-        raise malformed(
+        raise FormatError(
             source,
             "each frame number once",
             f"frame {frames[first]} twice, at {places}",
             "give one file per camera and recording, or say which part of a name is the camera "
-            "with --camera-regex",
+            f"with {argument('camera_regex')}",
         )
     return order
 
@@ -156,7 +148,7 @@ def check_cameras(cameras: Sequence[str], source: str) -> None:
     """Raise FormatError where a file has more cameras than anybody: another column was taken."""
     if len(cameras) > _MOST_CAMERAS:
         expected = f"at most {_MOST_CAMERAS} cameras in a file"
-        raise malformed(source, expected, _count(cameras), "check what names the cameras")
+        raise FormatError(source, expected, _count(cameras), "check what names the cameras")
 
 
 def unique_names(names: Sequence[str], source: str) -> tuple[str, ...]:
@@ -166,11 +158,11 @@ def unique_names(names: Sequence[str], source: str) -> tuple[str, ...]:
     """
     if len(names) > _MOST_KEYPOINTS:
         expected = f"at most {_MOST_KEYPOINTS} keypoints"
-        raise malformed(source, expected, _count(names), "check what names the keypoints")
+        raise FormatError(source, expected, _count(names), "check what names the keypoints")
     twice = find_repeated(names)
     if twice:
         found = f"{', '.join(twice)} twice"
-        raise malformed(source, "each keypoint name once", found, "rename one of them")
+        raise FormatError(source, "each keypoint name once", found, "rename one of them")
     return tuple(names)
 
 
@@ -248,11 +240,11 @@ def check_size(frames: int, instances: int, keypoints: int, source: str) -> None
     """Raise FormatError for more points than memory holds: a damaged file may ask for anything."""
     if instances > MOST_INSTANCES:
         expected = f"at most {MOST_INSTANCES} detections in a frame"
-        raise malformed(source, expected, instances, "check its frame numbers and individuals")
+        raise FormatError(source, expected, instances, "check its frame numbers and individuals")
     if frames * instances * keypoints > MOST_POINTS:
         expected = f"at most {MOST_POINTS} points in a camera"
         found = f"{frames} frames x {instances} detections x {keypoints} keypoints"
-        raise malformed(source, expected, found, "check its individuals, or split it")
+        raise FormatError(source, expected, found, "check its individuals, or split it")
 
 
 def stack_detections(detections: Sequence[Sequence[Floats]], keypoints: int, source: str) -> Floats:
@@ -267,7 +259,7 @@ def stack_detections(detections: Sequence[Sequence[Floats]], keypoints: int, sou
             if len(points) not in (0, keypoints):
                 expected = f"{keypoints} keypoints in every detection"
                 remedy = "keep the detections of one model"
-                raise malformed(source, expected, f"{len(points)} in one", remedy)
+                raise FormatError(source, expected, f"{len(points)} in one", remedy)
     values = blank(len(detections), max(map(len, detections), default=0), keypoints, source)
     for row, found in zip(values, detections, strict=True):
         for target, points in zip(row, found, strict=False):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.file import MOST_POINTS, malformed
+from mocap_calib.io.file import MOST_POINTS
 from mocap_calib.types import Ints
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def damage_refused(source: str, expected: str, remedy: str) -> Iterator[None]:
         raise
     except HDF5_DAMAGE as error:
         found = f"an error ({error or type(error).__name__})"
-        raise malformed(source, expected, found, remedy) from None
+        raise FormatError(source, expected, found, remedy) from None
 
 
 def text(value: Any) -> str:
@@ -82,7 +82,7 @@ def array(group: Any, name: str, source: str) -> NDArray[Any]:
     """
     dataset = group.get(name)
     if not isinstance(dataset, h5py.Dataset):
-        raise malformed(source, f"a dataset `{name}`", "none", "export it again")
+        raise FormatError(source, f"a dataset `{name}`", "none", "export it again")
     _check_size(dataset, source)
     return np.asarray(dataset[...])
 
@@ -92,7 +92,7 @@ def integers(group: Any, name: str, source: str) -> Ints:
     values = array(group, name, source)
     whole = values.dtype.kind in "iu"
     if not whole or (values.size and int(values.max()) > np.iinfo(np.int64).max):
-        raise malformed(source, f"whole numbers in `{name}`", values.dtype, "export it again")
+        raise FormatError(source, f"whole numbers in `{name}`", values.dtype, "export it again")
     return values.astype(np.int64)
 
 
@@ -113,7 +113,7 @@ def require_filters(group: Any, source: str, remedy: str) -> None:
             number, _, _, name = layout.get_filter(index)
             if not h5py.h5z.filter_avail(number):
                 found = f"filter {number} ({text(name) or 'blosc?'})"
-                raise malformed(source, "compression that HDF5 has itself", found, remedy)
+                raise FormatError(source, "compression that HDF5 has itself", found, remedy)
 
 
 def _check_size(dataset: Any, source: str) -> None:
@@ -126,7 +126,7 @@ def _check_size(dataset: Any, source: str) -> None:
     stored = dataset.id.get_storage_size()
     most = max(_MOST_UNPACKED * stored + _SMALL, min(DEFLATE * stored, _MOST_EMPTY))
     if claimed > most or entries > 4 * MOST_POINTS:
-        raise malformed(
+        raise FormatError(
             source,
             f"at most {most / 1e6:.0f} MB of `{dataset.name}` in the {stored / 1e6:.1f} MB stored",
             f"{claimed / 1e6:.0f} MB",

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.errors import MismatchError, argument, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import looks_like_cameras
 from mocap_calib.io.file import plain_path, read_bytes
@@ -43,7 +43,7 @@ def check_sources(sources: Sequence[str | Path]) -> None:
     for path in map(plain_path, sources):
         check_no_media(path, SUFFIXES)
         if not path.exists():
-            raise MismatchError(f"{path}: expected a file or folder, found none; check the path")
+            raise MismatchError(path, "a file or folder", "none", "check the path")
 
 
 def choose_kind(
@@ -72,10 +72,8 @@ def choose_kind(
     return shown[0] if shown else "keypoints"
 
 
-def choose_format(kind: Kind, output: str | Path, option: str = "--to ") -> str:
+def choose_format(kind: Kind, output: str | Path) -> str:
     """Return the name of the format that the ending of the output says.
-
-    option: how users name a format, for complaints.
 
     Raises MismatchError where it says none, or several.
     """
@@ -83,15 +81,19 @@ def choose_format(kind: Kind, output: str | Path, option: str = "--to ") -> str:
     names = by_ending.get(ending_of(output), ())
     if len(names) > 1:
         raise MismatchError(
-            f"{output}: expected the format of {kind} beside the ending, found none; "
-            f"say {option}{f' or {option}'.join(names)}"
+            output,
+            f"the format of {kind} beside the ending",
+            "none",
+            f"say {' or '.join(argument('to', name) for name in names)}",
         )
     if not names:
         known = ", ".join(f"{end} ({own[0]})" for end, own in by_ending.items() if len(own) == 1)
         written = ", ".join(written_names(FORMATS[kind]))
         raise MismatchError(
-            f"{output}: expected an ending of {known}, or {option.strip()} and one of {written}, "
-            "found neither; name the format"
+            output,
+            f"an ending of {known}, or {argument('to')} and one of {written}",
+            "neither",
+            "name the format",
         )
     return names[0]
 
@@ -99,22 +101,22 @@ def choose_format(kind: Kind, output: str | Path, option: str = "--to ") -> str:
 def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
     """Return the kinds that have formats of these names; all where none is named."""
     kinds = list(FORMATS)
-    for option, name in (("--from", format), ("--to", to)):
+    for option, name in ((argument("from"), format), (argument("to"), to)):
         if name is None:
             continue
-        list_names = read_names if option == "--from" else format_names
+        list_names = read_names if option == argument("from") else format_names
         having = [kind for kind in FORMATS if name in list_names(FORMATS[kind])]
         if not having:
             known = "; ".join(f"{kind}: {', '.join(list_names(FORMATS[kind]))}" for kind in FORMATS)
             names = [each for formats in FORMATS.values() for each in list_names(formats)]
-            raise MismatchError(
-                f"{option}: expected a format ({known}), found {name!r}; {suggest(name, names)}"
-            )
+            raise MismatchError(option, f"a format ({known})", f"{name!r}", suggest(name, names))
         fitting = [kind for kind in kinds if kind in having]
         if not fitting:
             raise MismatchError(
-                f"{option}: expected a format of {' or '.join(sorted(kinds))}, as {format} is, "
-                f"found {name}; choose another"
+                option,
+                f"a format of {' or '.join(sorted(kinds))}, as {format} is",
+                name,
+                "choose another",
             )
         kinds = fitting
     return kinds
@@ -131,8 +133,10 @@ def _check_kind(sources: Sequence[str | Path], kind: Kind, to: str) -> None:
     if other is not None:
         names = ", ".join(written_names(FORMATS[other]))
         raise MismatchError(
-            f"--to {to}: expected a format of {other}, which INPUT holds, found one of {kind}; "
-            f"choose one of {names}"
+            argument("to", to),
+            f"a format of {other}, which INPUT holds",
+            f"one of {kind}",
+            f"choose one of {names}",
         )
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mocap_calib.config import Landmark
 from mocap_calib.errors import FormatError
-from mocap_calib.io.file import decode, malformed, read_bytes
+from mocap_calib.io.file import decode, read_bytes
 
 _NUMBERS = ("x", "y", "z", "u", "v")
 _COLUMNS = ("name", "x", "y", "z", "camera", "u", "v")
@@ -27,7 +27,7 @@ def read_landmarks(path: Path) -> tuple[Landmark, ...]:
     rows = csv.DictReader(io.StringIO(decode(read_bytes(path), str(path))), skipinitialspace=True)
     lacking = [name for name in _COLUMNS if name not in (rows.fieldnames or ())]
     if lacking:
-        raise malformed(
+        raise FormatError(
             str(path),
             f"columns {','.join(_COLUMNS)}",
             f"none called {', '.join(lacking)}",
@@ -36,9 +36,9 @@ def read_landmarks(path: Path) -> tuple[Landmark, ...]:
     try:
         found = tuple(_parse_row(row, f"{path}: line {rows.line_num}") for row in rows)
     except csv.Error as error:
-        raise malformed(str(path), "a table of landmarks", str(error), "write it anew") from None
+        raise FormatError(str(path), "a table of landmarks", str(error), "write it anew") from None
     if not found:
-        raise malformed(str(path), "landmarks", "a header alone", "add a line per observation")
+        raise FormatError(str(path), "landmarks", "a header alone", "add a line per observation")
     _check_each_once(found, str(path))
     return found
 
@@ -53,10 +53,10 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> Landmark:
         except ValueError:
             numbers[column] = math.nan
         if not math.isfinite(numbers[column]):
-            raise malformed(where, f"a number {column}", repr(text), "correct it")
+            raise FormatError(where, f"a number {column}", repr(text), "correct it")
     name, camera = (row["name"] or "").strip(), (row["camera"] or "").strip()
     if not name or not camera:
-        raise malformed(where, "names of a landmark and of a camera", "none", "add them")
+        raise FormatError(where, "names of a landmark and of a camera", "none", "add them")
     position = (numbers["x"], numbers["y"], numbers["z"])
     return Landmark(name, position, camera, (numbers["u"], numbers["v"]))
 
@@ -75,4 +75,4 @@ def _check_each_once(landmarks: tuple[Landmark, ...], source: str) -> None:
 
 def _contradiction(source: str, name: str, found: str) -> FormatError:
     expected = f"one place of landmark {name}, and one pixel in a camera"
-    return malformed(source, expected, found, "correct it")
+    return FormatError(source, expected, found, "correct it")

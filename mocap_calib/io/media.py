@@ -45,7 +45,9 @@ def check_no_media_alone(folder: Path, endings: Sequence[str]) -> None:
 def _expected_keypoints(path: Path, found: str, endings: Sequence[str]) -> FormatError:
     """Return the complaint about what a 2D pose estimator has not looked at yet."""
     return FormatError(
-        f"{one_line(path, 300)}: expected files of 2D keypoints, found {found}; "
+        one_line(path, 300),
+        "files of 2D keypoints",
+        found,
         f"run a 2D pose estimator first ({_ESTIMATORS}), and give the files that it writes: "
-        f"{', '.join(endings)} (docs/formats.md)"
+        f"{', '.join(endings)} (docs/formats.md)",
     )

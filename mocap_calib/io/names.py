@@ -1,6 +1,6 @@
 """The names of cameras, which are those of files or stand in them."""
 
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError
 from mocap_calib.recording.names import compose_name
 
 
@@ -16,5 +16,5 @@ def camera_name(name: str, source: str) -> str:
         name.encode()
     except UnicodeEncodeError:
         remedy = "rename the file or the camera, or say name=path"
-        raise malformed(source, "a camera name in UTF-8", name, remedy) from None
+        raise FormatError(source, "a camera name in UTF-8", name, remedy) from None
     return compose_name(name)

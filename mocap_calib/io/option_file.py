@@ -18,7 +18,7 @@ from pathlib import Path
 import yaml
 
 from mocap_calib.errors import FormatError, suggest
-from mocap_calib.io.file import decode, malformed, read_bytes
+from mocap_calib.io.file import decode, read_bytes
 
 _MOST_CHARACTERS = 100_000  # PyYAML reads them in a tenth of a second; options take a few thousand
 _NOTHING = ("", "~", "null", "Null", "NULL")  # as YAML writes that there is no value
@@ -57,10 +57,10 @@ def read_option_file(path: Path, known: Collection[str]) -> dict[str, Entry]:
         place = f"{source}:{_line(key)}"
         if not isinstance(key, yaml.ScalarNode) or key.value not in known:
             found = key.value if isinstance(key, yaml.ScalarNode) else _kind(key)
-            raise malformed(place, "the name of an option", found, suggest(found, known))
+            raise FormatError(place, "the name of an option", found, suggest(found, known))
         if key.value in entries:
             remedy = "leave one out, or write the values as a list"
-            raise malformed(place, "each option once", f"{key.value} twice", remedy)
+            raise FormatError(place, "each option once", f"{key.value} twice", remedy)
         entries[key.value] = _entry(key.value, value, source)
     return entries
 
@@ -77,20 +77,20 @@ def _pairs(text: str, source: str) -> list[tuple[yaml.Node, yaml.Node]]:
     """Return the keys and values of the mapping that a text is. Raises FormatError."""
     if len(text) > _MOST_CHARACTERS:
         expected = f"a file of options, below {_MOST_CHARACTERS // 1000} kB"
-        raise malformed(source, expected, f"{len(text) // 1000} kB", "give the options alone")
+        raise FormatError(source, expected, f"{len(text) // 1000} kB", "give the options alone")
     try:
         node = yaml.compose(text, yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{source}:{mark.line + 1}" if mark else source
-        raise malformed(place, "YAML", error.problem or error, "mend that line") from None
+        raise FormatError(place, "YAML", error.problem or error, "mend that line") from None
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise malformed(source, "YAML", f"an error ({error})", "mend the file") from None
+        raise FormatError(source, "YAML", f"an error ({error})", "mend the file") from None
     if node is None:
         return []
     if not isinstance(node, yaml.MappingNode):
         place = f"{source}:{_line(node)}"
-        raise malformed(place, "lines `option: value`", _kind(node), "mend the file")
+        raise FormatError(place, "lines `option: value`", _kind(node), "mend the file")
     return node.value
 
 
@@ -100,7 +100,7 @@ def _entry(name: str, node: yaml.Node, source: str) -> Entry:
     nodes: list[yaml.Node] = node.value if is_list else [node]
     for each in nodes:
         if not isinstance(each, yaml.ScalarNode):
-            raise malformed(
+            raise FormatError(
                 f"{source}:{_line(each)}",
                 f"a value for {name}, or a list of values",
                 _kind(each),
@@ -116,7 +116,7 @@ def _entry(name: str, node: yaml.Node, source: str) -> Entry:
 
 def _missing(name: str, place: str) -> FormatError:
     """Return the complaint about an option without a value."""
-    return malformed(place, f"a value for {name}", "none", "give one, or remove the line")
+    return FormatError(place, f"a value for {name}", "none", "give one, or remove the line")
 
 
 def _kind(node: yaml.Node) -> str:

@@ -163,8 +163,7 @@ def date_of_making() -> str:
         time = datetime.fromtimestamp(int(said), UTC) if said else datetime.now(UTC)
     except (ValueError, OverflowError, OSError):
         raise MismatchError(
-            "SOURCE_DATE_EPOCH: expected whole seconds since 1970, "
-            f"found {said!r}; mend it or unset it"
+            "SOURCE_DATE_EPOCH", "whole seconds since 1970", f"{said!r}", "mend it or unset it"
         ) from None
     return time.strftime("%Y-%m-%dT%H:%M:%SZ")
 

@@ -76,14 +76,18 @@ class Format(Generic[Sniff, Read, Write]):
         """
         if self.write is None:
             raise MismatchError(
-                f"{self.name}: expected a format that is written, found one that is only read; "
-                "choose one that is (docs/formats.md)"
+                self.name,
+                "a format that is written",
+                "one that is only read",
+                "choose one that is (docs/formats.md)",
             )
         missing = [name for name in self.packages if find_spec(name) is None]
         if missing:
             raise MismatchError(
-                f"{self.name}: expected the Python package {' and '.join(missing)}, found none; "
-                f"pip install 'mocap-calib[{self.extra}]'"
+                self.name,
+                f"the Python package {' and '.join(missing)}",
+                "none",
+                f"pip install 'mocap-calib[{self.extra}]'",
             )
         return self.write
 
@@ -107,8 +111,10 @@ def find_format(formats: Sequence[OneFormat], name: str) -> OneFormat:
             return each
     kind = formats[0].kind.removesuffix("s")
     raise MismatchError(
-        f"expected one of the {kind} formats {', '.join(format_names(formats))}, found {name!r}; "
-        f"{suggest(name, format_names(formats))}"
+        "",
+        f"one of the {kind} formats {', '.join(format_names(formats))}",
+        f"{name!r}",
+        suggest(name, format_names(formats)),
     )
 
 

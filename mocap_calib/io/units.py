@@ -1,7 +1,6 @@
 """Units of length: what files say, and from one to another."""
 
-from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.types import ARBITRARY, METRES
 
 __all__ = ["ARBITRARY", "METRES", "known_unit", "refuse_unit", "unit_factor"]
@@ -26,9 +25,11 @@ def unit_factor(source: str, target: str, owner: str) -> float:
         if unit not in METRES:
             found = "an arbitrary unit" if unit == ARBITRARY else f"the unit {unit!r}"
             raise MismatchError(
-                f"{owner}: expected lengths in {' or '.join(METRES)}, found {found}; "
+                owner,
+                f"lengths in {' or '.join(METRES)}",
+                found,
                 "a known length sets the scale of a run (`mocap-calib scale OUT --height 1.75`), "
-                "of other files `convert --input-unit m` says the unit, in Python scale(1, 'm')"
+                "of other files `convert --input-unit m` says the unit, in Python scale(1, 'm')",
             )
     # the quotient of the powers of ten is exact this way round
     if METRES[source] >= METRES[target]:
@@ -48,13 +49,15 @@ def known_unit(unit: str, source: str) -> str:
         if spelt == short or spelt in words or spelt.removesuffix("s") in words:
             return short
     expected = f"a unit of length ({', '.join(METRES)} or {ARBITRARY})"
-    raise malformed(source, expected, repr(unit), "write one of these")
+    raise FormatError(source, expected, repr(unit), "write one of these")
 
 
-def refuse_unit(source: str, unit: str) -> str:
+def refuse_unit(source: str, unit: str) -> MismatchError:
     """Return the complaint about a unit that is said of lengths which a file calls arbitrary."""
-    return (
-        f"{source}: expected a file that leaves its unit open, found lengths that were never "
-        f"scaled, which are not in {unit}; set the scale by a known length: "
-        "`mocap-calib scale OUT --height 1.75` (or --length, --camera-distance)"
+    return MismatchError(
+        source,
+        "a file that leaves its unit open",
+        f"lengths that were never scaled, which are not in {unit}",
+        "set the scale by a known length: `mocap-calib scale OUT --height 1.75` "
+        "(or --length, --camera-distance)",
     )

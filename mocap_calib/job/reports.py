@@ -17,7 +17,6 @@ from mocap_calib.io.atomic import write_bytes
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.conversion import load_pose_sources
-from mocap_calib.io.file import malformed
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.results.group import PAGE, REPORT, group_folder, write_run_json
 from mocap_calib.io.results.matches_csv import read_matches_csv
@@ -67,12 +66,12 @@ class ResultsFolder:
 def open_results(path: Path) -> ResultsFolder:
     """Return the results in a folder. Raises FormatError where it has no run.json of this kind."""
     if not path.is_dir():
-        raise malformed(str(path), "a folder of results", "none", _REMEDY)
+        raise FormatError(str(path), "a folder of results", "none", _REMEDY)
     if not (path / REPORT).is_file():
-        raise malformed(str(path), f"a folder with {REPORT} in it", "none", _REMEDY)
+        raise FormatError(str(path), f"a folder with {REPORT} in it", "none", _REMEDY)
     run = read_run_json(path / REPORT, SCHEMA)
     if not run["cameras"] or not run["groups"]:
-        raise malformed(str(path / REPORT), "cameras in a group", "none", "run again")
+        raise FormatError(str(path / REPORT), "cameras in a group", "none", "run again")
     return ResultsFolder(path, run)
 
 
@@ -208,8 +207,7 @@ def _show_frames(recording: Recording, matches: Matches, frames: Ints) -> tuple[
     there = recording.frames[place] == frames
     if not there.any():
         raise MismatchError(
-            "keypoints: expected frames of the results, found none of them; "
-            "give the keypoints of this run"
+            "keypoints", "frames of the results", "none of them", "give the keypoints of this run"
         )
     source = np.tile(np.where(there, place, -1), (len(recording.cameras), 1))
     labels = np.where(there[:, None], matches.labels[:, place], -1)
@@ -221,8 +219,10 @@ def _check_joints(recording: Recording, folder: ResultsFolder) -> None:
     expected = folder.run["keypoints"]
     if list(recording.keypoints) != expected:
         raise MismatchError(
-            f"keypoints: expected {', '.join(expected)}, found {', '.join(recording.keypoints)}; "
-            "give the keypoints of this run"
+            "keypoints",
+            ", ".join(expected),
+            ", ".join(recording.keypoints),
+            "give the keypoints of this run",
         )
 
 

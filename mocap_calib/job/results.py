@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import Config
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, spell_as_option
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import source_of_group
 from mocap_calib.io.atomic import replace_folder, write_bytes
@@ -58,22 +58,20 @@ class WrittenGroup:
     refused: Mapping[str, MismatchError]
 
     @property
-    def complaint(self) -> MismatchError | None:
-        """What was asked for of this group and could not be had, None where all was."""
+    def complaint(self) -> str:
+        """What was asked for of this group and could not be had, "" where all was."""
         return complain(self.report, self.refused)
 
 
-def complain(
-    report: Mapping[str, Any], refused: Mapping[str, MismatchError]
-) -> MismatchError | None:
-    """Return an error that says what was asked for and could not be had, though the rest was.
+def complain(report: Mapping[str, Any], refused: Mapping[str, MismatchError]) -> str:
+    """Return what was asked for and could not be had, though the rest was; "" where all was.
 
     report: what `run.json` holds. refused: further formats that were not written.
     """
     world = report["world"]
     unmet = [world[key] for key in ("axes_unmet", "scale_unmet") if world[key]]
     if not unmet:
-        return next(iter(refused.values()), None)
+        return next((each.render(spell_as_option) for each in refused.values()), "")
     how = []
     if world["axes_unmet"]:
         on_floor = world["kind"] == "floor"
@@ -81,8 +79,7 @@ def complain(
     if world["unit"] == ARBITRARY:
         how.append("with arbitrary lengths (`mocap-calib scale OUT --height 1.75` sets the scale)")
     but = f" but {', '.join(refused)}" if refused else ""
-    said = " ".join(["; ".join(unmet) + f"; all files{but} are written", *how])
-    return MismatchError(said)
+    return " ".join(["; ".join(unmet) + f"; all files{but} are written", *how])
 
 
 # in the folder of results: the pairs of a run that is under way or was killed

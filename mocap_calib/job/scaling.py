@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import ScaleCue, WorldConfig
-from mocap_calib.errors import MismatchError, count
+from mocap_calib.errors import FormatError, MismatchError, argument, count
 from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, write_pieces
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
 from mocap_calib.io.cameras.write import format_rig
-from mocap_calib.io.file import malformed
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.results.group import PAGE, REPORT, read_outputs, write_run_json
@@ -60,14 +59,15 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
     """
     if folder.is_file():
         raise MismatchError(
-            f"{folder}: expected the folder of a run, found a file; give the folder that "
-            "`run -o` wrote"
+            folder, "the folder of a run", "a file", "give the folder that `run -o` wrote"
         )
     for name in (_CAMERAS, _POSES):
         if not (folder / name).is_file():
             raise MismatchError(
-                f"{folder}: expected the results of a run, with {_CAMERAS} and {_POSES}, "
-                f"found no {name}; give the folder that `run -o` wrote"
+                folder,
+                f"the results of a run, with {_CAMERAS} and {_POSES}",
+                f"no {name}",
+                "give the folder that `run -o` wrote",
             )
     cameras, file = load_cameras(folder / _CAMERAS), load_poses(folder / _POSES)
     rig = make_rig(cameras, str(folder / _CAMERAS))
@@ -79,8 +79,10 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
     scale = find_scale(cues, replace(on, individuals=file.individuals), config)
     if scale is None:
         raise MismatchError(
-            "scale: expected a known length, found none; use --height, --length or "
-            "--camera-distance"
+            "scale",
+            "a known length",
+            "none",
+            f"use {argument('height')}, {argument('length')} or {argument('camera_distance')}",
         )
     with replace_folder(folder) as work:
         for place in _camera_folders(folder):
@@ -123,14 +125,18 @@ def _refuse_known_unit(folder: Path, rig: CameraRig, unit: str) -> None:
     """
     if rig.unit != unit:
         raise MismatchError(
-            f"{folder}: expected cameras and poses in one unit, found {rig.unit} and {unit}; "
-            "give the folder as `run -o` wrote it"
+            folder,
+            "cameras and poses in one unit",
+            f"{rig.unit} and {unit}",
+            "give the folder as `run -o` wrote it",
         )
     if unit != ARBITRARY and not rig.world.cues:
         by = {"landmarks": " by landmarks", "file": " by cameras whose places were given"}
         raise MismatchError(
-            f"{folder}: expected lengths that are arbitrary, or scaled by known ones, found them "
-            f"in {unit}{by.get(rig.world.kind, '')}; `mocap-calib convert --unit` writes others"
+            folder,
+            "lengths that are arbitrary, or scaled by known ones",
+            f"them in {unit}{by.get(rig.world.kind, '')}",
+            "`mocap-calib convert --unit` writes others",
         )
 
 
@@ -196,7 +202,7 @@ def _read_report(path: Path) -> dict[str, Any]:
         ]
         np.array(figures, dtype=np.float64)  # None is NaN
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        raise malformed(
+        raise FormatError(
             str(path), "what a run writes", "other text", "remove it to scale all else"
         ) from None
     return report

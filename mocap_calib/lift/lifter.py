@@ -19,7 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file
 
 from mocap_calib.config import ENCODER_HEADS
-from mocap_calib.errors import FormatError, MismatchError, suggest
+from mocap_calib.errors import FormatError, MismatchError, argument, suggest
 from mocap_calib.kernels.lifter import activate
 from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names, parse_skeleton
 from mocap_calib.types import Bools, Floats32, Recording, Skeleton
@@ -202,14 +202,15 @@ def describe_model(name_or_path: str | Path) -> dict[str, Any]:
                 return json.loads((file.metadata() or {})[DESCRIPTION])
         except FileNotFoundError:
             raise FormatError(
-                f"{path}: expected a shipped model ({', '.join(SHIPPED)}), a file of weights, or "
-                f"none, found neither; {suggest(str(path), SHIPPED)}"
+                path,
+                f"a shipped model ({', '.join(SHIPPED)}), a file of weights, or none",
+                "neither",
+                suggest(str(path), SHIPPED),
             ) from None
         except (SafetensorError, KeyError, ValueError) as error:
             reason = str(error).splitlines()[0]
             raise FormatError(
-                f"{path}: expected weights that `train` wrote, found another file ({reason}); "
-                "check the path"
+                path, "weights that `train` wrote", f"another file ({reason})", "check the path"
             ) from None
 
 
@@ -240,9 +241,11 @@ def lifter_beside(token: str) -> str:
     if joints.name in SHIPPED and load_skeleton(joints.name).keypoints == joints.keypoints:
         return joints.name
     raise FormatError(
-        f"{token}: expected a rotation token with the joints of a shipped model "
-        f"({', '.join(SHIPPED)}), which lifts where it steers, found others ({joints.name}); "
-        "train it with --skeleton and a name of these"
+        token,
+        f"a rotation token with the joints of a shipped model ({', '.join(SHIPPED)}), which lifts "
+        "where it steers",
+        f"others ({joints.name})",
+        f"train it with {argument('skeleton')} and a name of these",
     )
 
 
@@ -254,8 +257,10 @@ def load_lifter(name_or_path: str | Path = "people") -> tuple[Lifter, Skeleton]:
     description = describe_model(name_or_path)
     if description.get("architecture") == "token":
         raise FormatError(
-            f"{name_or_path}: expected weights that lift, found the paper's, whose rotation token "
-            "cannot; `run` and `pairwise` take them with --solver paper"
+            name_or_path,
+            "weights that lift",
+            "the paper's, whose rotation token cannot",
+            f"`run` and `pairwise` take them with {argument('solver', 'paper')}",
         )
     with resources.as_file(weights_of(str(name_or_path))) as path:
         weights = load_file(path)
@@ -292,9 +297,11 @@ def choose_model(recording: Recording, model: str | Path | Lifter) -> tuple[Reco
         needed = int(recording.vocabulary.max(initial=-1)) + 1
         if model.config.joints < needed:
             raise MismatchError(
-                f"expected a network of the {needed} joints or more that the recording has in the "
-                f"vocabulary of {recording.model}, found one of {model.config.joints}; "
-                "give the model by its name or file"
+                "",
+                f"a network of the {needed} joints or more that the recording has in the "
+                f"vocabulary of {recording.model}",
+                f"one of {model.config.joints}",
+                "give the model by its name or file",
             )
         return recording, model
     name = recording.model if model == AUTO else str(model)

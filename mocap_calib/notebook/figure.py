@@ -38,8 +38,10 @@ def draw_group(group: GroupResult, moments: int) -> "Figure":
         from plotly import graph_objects  # noqa: PLC0415 - an extra
     except ImportError:
         raise MismatchError(
-            "plot: expected the package plotly, found none; "
-            "install it with `pip install mocap-calib[notebook]`"
+            "plot",
+            "the package plotly",
+            "none",
+            "install it with `pip install mocap-calib[notebook]`",
         ) from None
     poses = group.poses
     pieces = _bones(group)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from mocap_calib.config import CORNER_OFFSET
-from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.errors import MismatchError, argument, suggest
 from mocap_calib.io.atomic import replace_folder
 from mocap_calib.notebook.colours import colour_of
 from mocap_calib.overlay import drawing
@@ -65,8 +65,10 @@ def make_overlays(
     for name, path in videos.items():
         if name not in results.names:
             raise MismatchError(
-                f"--video {name}: expected one of the cameras {', '.join(results.names)}, found "
-                f"{name}; {suggest(name, results.names)}"
+                argument("video", name),
+                f"one of the cameras {', '.join(results.names)}",
+                name,
+                suggest(name, results.names),
             )
         video, camera = open_video(path), CameraResults(name, results, seen.get(name))
         notes.append(check_size(video, results.epochs[0][2][name]))
@@ -91,9 +93,11 @@ def _choose(
     shown = (numbers != NO_FRAME) & (indices >= 0) & (indices < (video.frames or np.inf))
     if not shown.any():
         raise MismatchError(
-            f"--frames: expected frames that {video.path} shows, {shift} to "
-            f"{shift + video.frames - 1} as {camera.name} numbers them, found "
-            f"{numbers.min()} to {numbers.max()}; choose others"
+            argument("frames"),
+            f"frames that {video.path} shows, {shift} to {shift + video.frames - 1} as "
+            f"{camera.name} numbers them",
+            f"{numbers.min()} to {numbers.max()}",
+            "choose others",
         )
     return dict(zip(indices[shown].tolist(), np.asarray(frames)[shown].tolist(), strict=True))
 
@@ -109,7 +113,7 @@ def _write(shot: _Shot, folder: Path, *, mirrored: bool, progress: Progress) -> 
         writer = cv2.VideoWriter(path, codec, shot.video.rate, shot.video.size)
         if not writer.isOpened():
             raise MismatchError(
-                f"{name}: expected OpenCV to write {_CODEC}, found that it cannot; say --frames"
+                name, f"OpenCV to write {_CODEC}", "that it cannot", f"say {argument('frames')}"
             )
     done = 0
     try:
@@ -125,8 +129,10 @@ def _write(shot: _Shot, folder: Path, *, mirrored: bool, progress: Progress) -> 
             writer.release()
     if chosen is not None and done < len(chosen):
         raise MismatchError(
-            f"{shot.video.path}: expected {shot.video.frames} frames as it says, found fewer; "
-            "choose others, or convert it again"
+            shot.video.path,
+            f"{shot.video.frames} frames as it says",
+            "fewer",
+            "choose others, or convert it again",
         )
 
 

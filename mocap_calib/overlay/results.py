@@ -58,8 +58,7 @@ def read_results(folder: Path) -> Results:
     for name in _FILES:
         if not (folder / name).is_file():
             raise MismatchError(
-                f"{folder}: expected the results of a run, found no {name}; "
-                "give the folder that `run -o` wrote"
+                folder, "the results of a run", f"no {name}", "give the folder that `run -o` wrote"
             )
     report = read_run_json(folder / REPORT, SCHEMA)
     faults = {each["name"]: each["fault_evidence"] for each in report["cameras"]}

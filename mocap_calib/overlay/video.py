@@ -36,8 +36,10 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         if not capture.isOpened():
             raise FormatError(
-                f"{path}: expected a video that OpenCV can read, found something else; convert "
-                f"it: ffmpeg -i {path.name} -c:v libx264 -crf 18 new.mp4"
+                path,
+                "a video that OpenCV can read",
+                "something else",
+                f"convert it: ffmpeg -i {path.name} -c:v libx264 -crf 18 new.mp4",
             )
         yield capture
     finally:
@@ -47,7 +49,7 @@ def _opened(path: Path) -> Iterator[Any]:
 def open_video(path: Path) -> Video:
     """Return what is known of a video. Raises FormatError, and MismatchError where none is."""
     if not path.is_file():
-        raise MismatchError(f"{path}: expected a video, found no such file; check the path")
+        raise MismatchError(path, "a video", "no such file", "check the path")
     with _opened(path) as capture:
         width, height, rate, frames = (
             capture.get(each)
@@ -71,9 +73,11 @@ def check_size(video: Video, camera: Camera) -> str:
         return ""
     if abs(width * own_height / (height * own_width) - 1) > _SAME_ASPECT:
         raise MismatchError(
-            f"{video.path}: expected images of {own_width} x {own_height} as the keypoints of "
-            f"{camera.name} have, or resized ones, found {width} x {height}; give the video in "
-            "which they were detected"
+            video.path,
+            f"images of {own_width} x {own_height} as the keypoints of {camera.name} have, or "
+            "resized ones",
+            f"{width} x {height}",
+            "give the video in which they were detected",
         )
     return (
         f"{camera.name}: its video has {width} x {height} pixels and its keypoints are of "
@@ -118,8 +122,10 @@ class _Pace:
         gap = self.times[1] - self.times[0]
         if not np.isclose(gap, usual, rtol=_STEADY, atol=1.0):
             raise MismatchError(
-                f"{self.video.path}: expected frames {usual:.1f} ms apart, found {gap:.1f} ms "
-                f"before frame {index}: with a variable frame rate nobody knows which frame a "
-                "detection is of; make it constant, and detect again: ffmpeg -i "
-                f"{self.video.path.name} -fps_mode cfr -r {self.video.rate:.6g} new.mp4"
+                self.video.path,
+                f"frames {usual:.1f} ms apart",
+                f"{gap:.1f} ms before frame {index}: with a variable frame rate nobody knows "
+                "which frame a detection is of",
+                f"make it constant, and detect again: ffmpeg -i {self.video.path.name} -fps_mode "
+                f"cfr -r {self.video.rate:.6g} new.mp4",
             )

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage, signal
 
 from mocap_calib.config import FilterConfig
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, argument
 from mocap_calib.results import Poses3D
 from mocap_calib.types import Bools, Floats, Ints
 
@@ -28,8 +28,7 @@ def filter_poses(poses: Poses3D, config: FilterConfig, *, fps: float | None = No
     longest = max(len(poses.frames), FilterConfig.window)
     if config.method != "butterworth" and config.window > longest:
         raise MismatchError(
-            f"expected a window of at most {longest} frames, found {config.window}; "
-            "give a shorter one"
+            "", f"a window of at most {longest} frames", config.window, "give a shorter one"
         )
     run, least = _choose_filter(config, fps)
     positions = poses.positions.copy()
@@ -52,8 +51,10 @@ def _choose_filter(
         window, order = config.window, config.polynomial
         if order >= window:
             raise MismatchError(
-                f"expected a polynomial of an order below the window of {window} frames, "
-                f"found {order}; give a longer window"
+                "",
+                f"a polynomial of an order below the window of {window} frames",
+                order,
+                "give a longer window",
             )
         return lambda track: signal.savgol_filter(track, window, order, axis=0), window
     sections = _design_butterworth(config, fps)
@@ -69,12 +70,14 @@ def _design_butterworth(config: FilterConfig, fps: float | None) -> Floats:
     """
     if fps is None:
         raise MismatchError(
-            "expected frames per second for the cutoff in Hz, found none; give --fps"
+            "", "frames per second for the cutoff in Hz", "none", f"give {argument('fps')}"
         )
     if not 0 < config.cutoff < fps / 2:
         raise MismatchError(
-            f"expected a cutoff below {fps / 2:g} Hz, half of the frames per second, "
-            f"found {config.cutoff:g}; choose a lower one"
+            "",
+            f"a cutoff below {fps / 2:g} Hz, half of the frames per second",
+            f"{config.cutoff:g}",
+            "choose a lower one",
         )
     order = config.order // 2
     wider = (np.sqrt(2) - 1) ** (1 / (2 * order))

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mocap_calib.config import EPOCH_MARK
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, argument
 from mocap_calib.recording.joints import side_pairs
 from mocap_calib.results import FaultWord, Mend
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera, Ints, Recording
@@ -223,8 +223,10 @@ def find_view(recording: Recording, camera: str) -> int:
     """Return the index of a camera. Raises MismatchError where the recording does not have it."""
     if camera not in recording.names:
         raise MismatchError(
-            f"expected one of the cameras {', '.join(recording.names)}, found {camera}; "
-            "name a camera of this recording"
+            "",
+            f"one of the cameras {', '.join(recording.names)}",
+            camera,
+            "name a camera of this recording",
         )
     return recording.names.index(camera)
 
@@ -262,8 +264,10 @@ def _check_size(camera: Camera) -> None:
     """Raise MismatchError where the size of a camera's images is not known."""
     if camera.size == (0, 0):
         raise MismatchError(
-            f"{camera.name}: expected the size of its images, by which they are rotated, found "
-            f"none; give it, as in --image-size {camera.name}:WIDTHxHEIGHT"
+            camera.name,
+            "the size of its images, by which they are rotated",
+            "none",
+            f"give it, as in {argument('image_size', f'{camera.name}:WIDTHxHEIGHT')}",
         )
 
 

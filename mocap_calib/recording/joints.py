@@ -125,8 +125,10 @@ def load_section(name_or_path: str | Path, section: str) -> dict[str, Any]:
     found = fields.get(section) or {}
     if not isinstance(found, dict):
         raise FormatError(
-            f"skeleton {name_or_path}: expected a mapping `{section}`, "
-            f"found {type(found).__name__}; see docs/skeletons.md"
+            f"skeleton {name_or_path}",
+            f"a mapping `{section}`",
+            type(found).__name__,
+            "see docs/skeletons.md",
         )
     return found
 
@@ -181,7 +183,7 @@ def _read_fields(name_or_path: str | Path) -> Any:
     source = f"skeleton {name}"
     if not Path(name).is_file():
         raise FormatError(
-            f"{source}: expected the name of a shipped one or a YAML file, found neither"
+            source, "the name of a shipped one or a YAML file", "neither", "check the path"
         )
     return _read_yaml(Path(name).read_bytes(), source)
 
@@ -202,7 +204,7 @@ def _read_yaml(text: str | bytes, source: str) -> Any:
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise FormatError(
-            f"{source}: expected a YAML file, found an error ({reason}); correct that place"
+            source, "a YAML file", f"an error ({reason})", "correct that place"
         ) from None
 
 
@@ -210,14 +212,19 @@ def parse_skeleton(fields: Any, source: str) -> Skeleton:
     """Return a skeleton from the fields of its YAML file. Raises FormatError."""
     if not isinstance(fields, dict) or not isinstance(fields.get("keypoints"), list):
         raise FormatError(
-            f"skeleton {source}: expected a mapping with a list `keypoints`; see docs/skeletons.md"
+            f"skeleton {source}",
+            "a mapping with a list `keypoints`",
+            "none",
+            "see docs/skeletons.md",
         )
     try:
         return _parse_skeleton(fields, source)
     except (ValueError, TypeError, AttributeError, LookupError) as error:
         raise FormatError(
-            f"skeleton {source}: expected edges, aliases and layouts as docs/skeletons.md has "
-            f"them, found an error ({one_line(error)}); correct that place"
+            f"skeleton {source}",
+            "edges, aliases and layouts as docs/skeletons.md has them",
+            f"an error ({one_line(error)})",
+            "correct that place",
         ) from None
 
 
@@ -232,10 +239,12 @@ def _parse_skeleton(fields: Mapping[str, Any], source: str) -> Skeleton:
     named |= {joint for renaming in (aliases, *layouts) for joint in renaming.values()}
     strangers = sorted(named - set(keypoints))
     if strangers:
-        found = one_line(", ".join(strangers), width=200)
+        found = ", ".join(strangers)
         raise FormatError(
-            f"skeleton {source}: edges, aliases or layouts name {found}, "
-            "expected only its own keypoints"
+            f"skeleton {source}: edges, aliases and layouts",
+            "names of its own keypoints",
+            found,
+            "rename them, or add these keypoints",
         )
     index = {name: k for k, name in enumerate(keypoints)}
     return Skeleton(
@@ -268,8 +277,10 @@ def load_aliases(path: Path, skeleton: Skeleton) -> dict[str, str]:
     if strangers:
         known = ", ".join(skeleton.keypoints)
         raise FormatError(
-            f"{path}: expected aliases of joints that the model {skeleton.name} has ({known}), "
-            f"found {one_line(', '.join(strangers), width=200)}; choose among those"
+            path,
+            f"aliases of joints that the model {skeleton.name} has ({known})",
+            one_line(", ".join(strangers), width=200),
+            "choose among those",
         )
     return aliases
 
@@ -313,14 +324,14 @@ def _read_aliases(path: Path) -> dict[str, str]:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         came = "none" if isinstance(error, FileNotFoundError) else f"an error ({reason})"
-        raise FormatError(
-            f"{path}: expected a YAML file with `aliases`, found {came}; check the path"
-        ) from None
+        raise FormatError(path, "a YAML file with `aliases`", came, "check the path") from None
     fields = _read_yaml(text, str(path))
     found = fields.get("aliases") if isinstance(fields, dict) else None
     if not isinstance(found, dict) or not found:
         raise FormatError(
-            f"{path}: expected a mapping `aliases` of own names to joints, found none; "
-            "write for instance `aliases: {beak: nose}`"
+            path,
+            "a mapping `aliases` of own names to joints",
+            "none",
+            "write for instance `aliases: {beak: nose}`",
         )
     return _strings(found)

@@ -21,7 +21,7 @@ from mocap_calib.config import (
     IntrinsicsConfig,
     Refinement,
 )
-from mocap_calib.errors import MismatchError, count
+from mocap_calib.errors import MismatchError, argument, count
 from mocap_calib.recording.joints import match_names, normalise_name
 from mocap_calib.types import AssumedCamera, Camera, Keypoints2D, Skeleton
 
@@ -47,8 +47,10 @@ def pair_with_cameras(
     if len(pairs) < 2:
         found = ", ".join(camera.name for _, camera in pairs) or "none"
         raise MismatchError(
-            "expected detections of two cameras or more, "
-            f"found those of {len(pairs)} ({found}); add the other keypoint files"
+            "",
+            "detections of two cameras or more",
+            f"those of {len(pairs)} ({found})",
+            "add the other keypoint files",
         )
     sized = tuple(map_in_threads(lambda pair: _take_image_size(*pair), pairs))
     return tuple(view for view, _ in pairs), sized
@@ -74,9 +76,10 @@ def match_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tu
     if any(len(names) != 1 for names in alike):
         found = ", ".join(view.camera for view in views) or "none"
         raise MismatchError(
-            "expected a camera of the same name for each keypoint file, "
-            f"found keypoints of {found} and cameras {', '.join(known) or 'none'}; "
-            f"{_naming_remedy(views, known)}"
+            "",
+            "a camera of the same name for each keypoint file",
+            f"keypoints of {found} and cameras {', '.join(known) or 'none'}",
+            _naming_remedy(views, known),
         )
     matched = tuple(name for names in alike for name in names)
     _check_one_file_each(views, matched)
@@ -94,13 +97,13 @@ def _naming_remedy(views: Sequence[Keypoints2D], known: Sequence[str]) -> str:
     named = [set(re.findall(pattern, view.source)) for view in views]
     cameras = {name for names in named for name in names}
     if all(len(names) == 1 for names in named) and len(cameras) == len(views):
-        return f'use --camera-regex "{pattern}", which finds these names in the paths'
+        return f"use {argument('camera_regex', pattern)}, which finds these names in the paths"
     nameless = next(view for view in views if len(_names_alike(view.camera, known)) != 1)
     taken = {_fold_name(view.camera) for view in views}
     camera = next((name for name in known if _fold_name(name) not in taken), known[0])
     return (
-        f"give files with their cameras, as {camera}={nameless.source}, or use --camera-regex to "
-        "find the camera names in the paths, or rename one side"
+        f"give files with their cameras, as {camera}={nameless.source}, or use "
+        f"{argument('camera_regex')} to find the camera names in the paths, or rename one side"
     )
 
 
@@ -122,8 +125,10 @@ def check_pixels(view: Keypoints2D) -> None:
     mapped.let_go()
     if 0 < max(highest, -lowest) <= LARGEST_SHARE:
         raise MismatchError(
-            f"{view.source}: expected positions in pixels, found none above {LARGEST_SHARE}; "
-            "use --image-size WIDTHxHEIGHT if they are shares of the image"
+            view.source,
+            "positions in pixels",
+            f"none above {LARGEST_SHARE}",
+            f"use {argument('image_size', 'WIDTHxHEIGHT')} if they are shares of the image",
         )
 
 
@@ -135,8 +140,10 @@ def _check_one_file_each(views: Sequence[Keypoints2D], matched: Sequence[str]) -
     for name, files in sources.items():
         if len(files) > 1:
             raise MismatchError(
-                "expected one keypoint file per camera, "
-                f"found {' and '.join(files[:2])} for camera {name}; remove or rename one"
+                "",
+                "one keypoint file per camera",
+                f"{' and '.join(files[:2])} for camera {name}",
+                "remove or rename one",
             )
 
 
@@ -166,9 +173,10 @@ def _take_image_size(view: Keypoints2D, camera: Camera) -> Camera:
     mapped.let_go()
     if found:
         raise MismatchError(
-            f"{view.source}: expected an image of {_size_text(camera.size)} as camera "
-            f"{camera.name} has, found {found}; "
-            "scale the intrinsics to the images of the keypoints"
+            view.source,
+            f"an image of {_size_text(camera.size)} as camera {camera.name} has",
+            found,
+            "scale the intrinsics to the images of the keypoints",
         )
     return camera
 
@@ -230,8 +238,10 @@ def shared_keypoints(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) 
             f"{view.camera}: {', '.join(view.keypoints[:_LISTED])}" for view in views
         )
         raise MismatchError(
-            f"expected keypoint names that two cameras share, found {listed}; "
-            "rename them, or map them with --skeleton"
+            "",
+            "keypoint names that two cameras share",
+            listed,
+            f"rename them, or map them with {argument('skeleton')}",
         )
     return shared
 
@@ -309,11 +319,13 @@ def choose_refinement(
         chosen = ASSUMED_REFINEMENT
     if chosen not in REFINEMENTS:
         known = ", ".join(REFINEMENTS)
-        raise MismatchError(f"refine: expected one of {known}, found {chosen!r}; choose one")
+        raise MismatchError("refine", f"one of {known}", f"{chosen!r}", "choose one")
     if chosen == "none" and assumed:
         raise MismatchError(
-            "refine: expected focal or focal+k1, as nothing is known of the intrinsics, "
-            "found none; give the intrinsics, or leave it out"
+            "refine",
+            "focal or focal+k1, as nothing is known of the intrinsics",
+            "none",
+            "give the intrinsics, or leave it out",
         )
     return replace(config, refine=chosen)
 
@@ -323,9 +335,11 @@ def _assume_camera(view: Keypoints2D) -> AssumedCamera:
     width, height = view.image_size
     if (width, height) == (0, 0):
         raise MismatchError(
-            f"{view.source}: expected the size of the images of camera {view.camera}, by which "
-            "its focal length is guessed, found none; use --image-size "
-            f"{view.camera}:WIDTHxHEIGHT, or give the intrinsics with --cameras"
+            view.source,
+            f"the size of the images of camera {view.camera}, by which its focal length is guessed",
+            "none",
+            f"use {argument('image_size', f'{view.camera}:WIDTHxHEIGHT')}, or give the intrinsics "
+            f"with {argument('cameras')}",
         )
     focal = DEFAULT_FOCAL * max(width, height)
     middle = (width - 1) / 2, (height - 1) / 2

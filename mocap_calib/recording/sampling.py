@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, SampleConfig, SyncConfig
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, argument
 from mocap_calib.geometry import lens
 from mocap_calib.types import Camera, Floats, Ints, Reals, Recording, Sample
 
@@ -134,8 +134,10 @@ def check_joints(recording: Recording) -> None:
     if known < LEAST_JOINTS and crowded and not recording.tracked.all():
         names = ", ".join(recording.keypoints)
         raise MismatchError(
-            f"expected at least {LEAST_JOINTS} joint names that the model knows, "
-            f"found {known} among {names}; map them with --skeleton"
+            "",
+            f"at least {LEAST_JOINTS} joint names that the model knows",
+            f"{known} among {names}",
+            f"map them with {argument('skeleton')}",
         )
 
 
@@ -143,8 +145,10 @@ def check_known_joints(recording: Recording) -> None:
     """Raise MismatchError where the model knows too few joints to lift a body."""
     if (recording.vocabulary >= 0).sum() < LEAST_JOINTS:
         raise MismatchError(
-            f"expected at least {LEAST_JOINTS} joints that a model knows, "
-            f"found {', '.join(recording.keypoints)}; map them with --skeleton"
+            "",
+            f"at least {LEAST_JOINTS} joints that a model knows",
+            ", ".join(recording.keypoints),
+            f"map them with {argument('skeleton')}",
         )
 
 
@@ -152,8 +156,10 @@ def check_shared_keypoints(keypoints: Sequence[str]) -> None:
     """Raise MismatchError where two views share too few keypoints for a calibration."""
     if len(keypoints) < LEAST_JOINTS:
         raise MismatchError(
-            f"expected at least {LEAST_JOINTS} joints that two views have in common, "
-            f"found {', '.join(keypoints)}; detect more"
+            "",
+            f"at least {LEAST_JOINTS} joints that two views have in common",
+            ", ".join(keypoints),
+            "detect more",
         )
 
 

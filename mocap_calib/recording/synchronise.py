@@ -116,8 +116,10 @@ def _shared_frames(views: Sequence[Keypoints2D]) -> Ints:
     if not (counts >= 2).any():
         ranges = ", ".join(f"{view.camera} {view.frames[0]}-{view.frames[-1]}" for view in views)
         raise MismatchError(
-            f"expected frames that two cameras have, found the frame numbers {ranges}; "
-            "number the frames of all cameras on one clock"
+            "",
+            "frames that two cameras have",
+            f"the frame numbers {ranges}",
+            "number the frames of all cameras on one clock",
         )
     return np.asarray(unique[counts >= 2], dtype=np.int64)
 
@@ -185,8 +187,10 @@ def _check_covisible(confidence: Reals) -> None:
     )
     if not (sees.sum(axis=0) >= 2).any():
         raise MismatchError(
-            "expected frames in which two cameras see the subject, "
-            "found no co-visible detections; check that the files are of one recording"
+            "",
+            "frames in which two cameras see the subject",
+            "no co-visible detections",
+            "check that the files are of one recording",
         )
 
 
@@ -227,8 +231,10 @@ def check_copies(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> N
     """
     for says in find_copies(views, meanings):
         raise MismatchError(
-            f"expected a file of its own for each camera, found that {says}; "
-            "give each camera its own file, or leave one of the two out"
+            "",
+            "a file of its own for each camera",
+            f"that {says}",
+            "give each camera its own file, or leave one of the two out",
         )
 
 

@@ -137,9 +137,10 @@ def check_same_cameras(recording: Recording, rig: CameraRig) -> None:
     """Raise MismatchError where a rig has other cameras than a recording, or another order."""
     if rig.names != recording.names:
         raise MismatchError(
-            f"expected a rig of the recording's cameras in their order "
-            f"({', '.join(recording.names)}), found {', '.join(rig.names)}; "
-            "take rig.select(recording.names)"
+            "",
+            f"a rig of the recording's cameras in their order ({', '.join(recording.names)})",
+            ", ".join(rig.names),
+            "take rig.select(recording.names)",
         )
 
 

@@ -301,8 +301,10 @@ def usable_cameras(
     if len(groups) > 1:
         names = [", ".join(cameras[view].name for view in group) for group in groups]
         raise DegenerateError(
-            "expected cameras that see the same bodies, found groups that share too little: "
-            f"{' | '.join(names)}; calibrate each group by itself"
+            "",
+            "cameras that see the same bodies",
+            f"groups that share too little: {' | '.join(names)}",
+            "calibrate each group by itself",
         )
     return groups[0]
 
@@ -320,8 +322,10 @@ def camera_groups(
     groups = [views for views in members if len(views) > 1]
     if not groups:
         raise DegenerateError(
-            "expected two cameras that see the same bodies, found none; "
-            "check that the files belong to these cameras and to the same time"
+            "",
+            "two cameras that see the same bodies",
+            "none",
+            "check that the files belong to these cameras and to the same time",
         )
     return tuple(sorted(groups, key=lambda views: (-len(views), views[0])))
 

@@ -51,8 +51,10 @@ def people(
     """
     if min(individuals, frames, fps, *room) <= 0:
         raise MismatchError(
-            f"people: expected positive numbers, got {individuals} individuals, {frames} frames, "
-            f"{fps} fps, room {room}"
+            "people",
+            "positive numbers",
+            f"{individuals} individuals, {frames} frames, {fps} fps, room {room}",
+            "raise what is not",
         )
     time, seen = motion_times(frames, fps)
     walks = plan_walks(rng, time, individuals, room)

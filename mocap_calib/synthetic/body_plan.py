@@ -73,8 +73,10 @@ def parse_body(fields: Mapping[str, Any], skeleton: Skeleton) -> BodyPlan:
         return _parse_plan(fields, skeleton)
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
         raise FormatError(
-            f"skeleton {skeleton.name}: expected a section `body` as docs/skeletons.md has it, "
-            f"found an error ({one_line(error)}); mend that place"
+            f"skeleton {skeleton.name}",
+            "a section `body` as docs/skeletons.md has it",
+            f"an error ({one_line(error)})",
+            "mend that place",
         ) from None
 
 
@@ -123,8 +125,10 @@ def _tree(skeleton: Skeleton) -> tuple[Ints, Ints]:
     if len(roots) != 1 or len(order) != len(parent):
         names = ", ".join(skeleton.keypoints[k] for k in roots)
         raise FormatError(
-            f"skeleton {skeleton.name}: body: expected edges that are one tree over all joints, "
-            f"found {len(roots)} roots: {names}"
+            f"skeleton {skeleton.name}: body",
+            "edges that are one tree over all joints",
+            f"{len(roots)} roots: {names}",
+            "add or remove edges",
         )
     return parent, np.array(order)
 
@@ -154,8 +158,10 @@ def _rest_pose(bones: Mapping[str, Any], skeleton: Skeleton, *, order: Ints, twi
     unknown = sorted(set(bones) - set(skeleton.keypoints))
     if lacking or unknown:
         raise FormatError(
-            f"skeleton {skeleton.name}: body: expected a bone to each joint, "
-            f"lacking {lacking or 'none'}, unknown {unknown or 'none'}"
+            f"skeleton {skeleton.name}: body",
+            "a bone to each joint",
+            f"none to {lacking or 'none'}, and unknown {unknown or 'none'}",
+            "add or rename bones",
         )
     return rest
 
@@ -188,8 +194,10 @@ def _parse_angles(fields: Mapping[str, Any], skeleton: Skeleton) -> Angles:
         bone, _, axis = str(key).partition(".")
         if axis not in AXES or not isinstance(numbers, list) or len(numbers) not in (2, 3):
             raise FormatError(
-                f"skeleton {skeleton.name}: body: {key}: expected bone.(roll|pitch|yaw): "
-                "[least, most] or [middle, amplitude, phase]"
+                f"skeleton {skeleton.name}: body",
+                "bone.(roll|pitch|yaw): [least, most] or [middle, amplitude, phase]",
+                f"{key}: {numbers}",
+                "correct that line",
             )
         found[bone, axis] = tuple(float(number) for number in numbers)
     _check_names([bone for bone, _ in found], skeleton)
@@ -201,6 +209,8 @@ def _check_names(names: Iterable[str], skeleton: Skeleton) -> None:
     known = {ROOT, *skeleton.keypoints, *map(without_side, skeleton.keypoints)}
     if unknown := sorted(set(names) - known):
         raise FormatError(
-            f"skeleton {skeleton.name}: body: expected names of its joints, "
-            f"found {', '.join(unknown)}"
+            f"skeleton {skeleton.name}: body",
+            "names of its joints",
+            ", ".join(unknown),
+            "rename them",
         )

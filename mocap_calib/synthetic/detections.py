@@ -116,8 +116,10 @@ def _check_detector(
     if wrong or unknown or noise_px < 0:
         found = ", ".join(wrong) or f"{noise_px}, {layout}"
         raise MismatchError(
-            "detect: expected shares in 0..1, noise >= 0 and "
-            f"layout {' or '.join(LAYOUTS)}, got {found}"
+            "detect",
+            f"shares in 0..1, noise >= 0 and layout {' or '.join(LAYOUTS)}",
+            found,
+            "correct that number",
         )
 
 

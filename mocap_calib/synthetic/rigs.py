@@ -37,8 +37,10 @@ def ring_rig(
     """
     if cameras < 1 or radius <= 0 or min(size) <= 0 or not 0 <= arc_deg <= 360:
         raise MismatchError(
-            "rig: expected cameras, radius and size above 0 and an arc of 0..360 degrees, "
-            f"got {cameras}, {radius}, {size}, {arc_deg}"
+            "rig",
+            "cameras, radius and size above 0 and an arc of 0..360 degrees",
+            f"{cameras}, {radius}, {size}, {arc_deg}",
+            "correct that number",
         )
     azimuth = _azimuths(rng, cameras, arc_deg)
     distance = radius * (1 + rng.uniform(-0.08, 0.08, cameras))

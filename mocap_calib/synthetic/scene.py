@@ -134,12 +134,16 @@ def _check(config: SimulateConfig) -> None:
     unknown = sorted(set(config.kinds_of_animals) - set(ANIMAL_MOTION))
     if unknown:
         raise MismatchError(
-            f"simulate: expected animals of the kinds {', '.join(ANIMAL_MOTION)}, "
-            f"found {', '.join(unknown)}; choose among those"
+            "simulate",
+            f"animals of the kinds {', '.join(ANIMAL_MOTION)}",
+            ", ".join(unknown),
+            "choose among those",
         )
     if min(config.people + len(config.kinds_of_animals), config.frames, config.fps) <= 0:
         raise MismatchError(
-            "simulate: expected people or animals, and frames and fps above 0, "
-            f"found {config.people} people and {len(config.kinds_of_animals)} animals, "
-            f"{config.frames} frames, {config.fps} fps"
+            "simulate",
+            "people or animals, and frames and fps above 0",
+            f"{config.people} people and {len(config.kinds_of_animals)} animals, "
+            f"{config.frames} frames, {config.fps} fps",
+            "raise what is 0",
         )

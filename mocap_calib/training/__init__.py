@@ -98,12 +98,12 @@ def check_device(device: str) -> None:
     if device == CPU:
         return
     if not (found := re.fullmatch(r"cuda(?::(\d+))?", device)):
-        raise MismatchError(f"device: expected cpu or cuda, found {device!r}; use cpu")
+        raise MismatchError("device", "cpu or cuda", f"{device!r}", "use cpu")
     import torch  # noqa: PLC0415
 
     if int(found[1] or 0) >= torch.cuda.device_count():
         raise MismatchError(
-            f"device {device}: expected a CUDA device and a torch built for it, found none; use cpu"
+            f"device {device}", "a CUDA device and a torch built for it", "none", "use cpu"
         )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.errors import DegenerateError, FormatError, MismatchError
+from mocap_calib.errors import DegenerateError, FormatError, MismatchError, argument
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.io.cameras.read import read_rig
@@ -83,8 +83,10 @@ def _match_joints(names: NDArray[Any], skeleton: Skeleton, path: Path) -> NDArra
     found = match_names(tuple(str(name) for name in names), skeleton)
     if (found >= 0).sum() < LEAST_JOINTS:
         raise MismatchError(
-            f"{path}: expected joints of skeleton {skeleton.name}, "
-            f"found {', '.join(map(str, names))}"
+            path,
+            f"joints of skeleton {skeleton.name}",
+            ", ".join(map(str, names)),
+            "add the names to its aliases",
         )
     return found
 
@@ -115,10 +117,12 @@ def _read(path: Path) -> dict[str, NDArray[Any]]:
             fields["joints"] = np.array(json.loads(names.read_text("utf-8"))["names"])
     if not {"poses", "joints"} <= set(fields):
         found = ", ".join(fields) or "neither"
-        raise FormatError(f"{path}: expected the arrays `poses` and `joints`, found {found}")
+        raise FormatError(
+            path, "the arrays `poses` and `joints`", found, "write both (docs/skeletons.md)"
+        )
     shape, joints = fields["poses"].shape, fields["joints"].size
     if len(shape) != 3 or shape[1:] != (joints, 3):
-        raise FormatError(f"{path}: expected poses of shape (any, {joints}, 3), found {shape}")
+        raise FormatError(path, f"poses of shape (any, {joints}, 3)", shape, "write a pose a row")
     return fields
 
 
@@ -127,7 +131,7 @@ def up_direction(up: str) -> Floats:
     axes = {f"+{axis}": row for axis, row in zip("xyz", np.eye(3), strict=True)}
     axes |= {f"-{axis}": -axes[f"+{axis}"] for axis in "xyz"}
     if up not in axes:
-        raise FormatError(f"up axis: expected one of {', '.join(axes)}, found {up}")
+        raise FormatError("up axis", f"one of {', '.join(axes)}", up, "choose one of these")
     return axes[up]
 
 
@@ -214,21 +218,35 @@ def check_source(source: TrainingSource) -> None:
     if source.calibrated is not None:
         rig_file = _rig_file(source.calibrated)
         if source.poses or source.procedural:
-            raise MismatchError("expected POSES or --procedural, or --from, found both")
+            raise MismatchError(
+                "",
+                f"POSES or {argument('procedural')}, or {argument('calibrated')}",
+                "both",
+                "leave one out",
+            )
         if not source.up and not rig_file.is_file():
-            raise MismatchError(f"expected {rig_file} beside the poses, or --up, found neither")
+            raise MismatchError(
+                "",
+                f"{rig_file} beside the poses, or {argument('up')}",
+                "neither",
+                f"give {argument('up')}",
+            )
         return
     if len(source.up) not in (0, 1, files):
         raise MismatchError(
-            f"--up: expected it once, or once for each of {files} files, "
-            f"found it {len(source.up)} times"
+            argument("up"),
+            f"it once, or once for each of {files} files",
+            f"it {len(source.up)} times",
+            "give one direction a file",
         )
     has_body = bool(load_section(source.skeleton_name, "body"))
     wants_bodies = has_body if source.procedural is None else source.procedural > 0
     if (wants_bodies and not has_body) or not (files or wants_bodies):
         raise MismatchError(
-            "expected POSES, or a skeleton with a section `body` to make some from, "
-            f"found neither in {source.skeleton_name}; see docs/skeletons.md"
+            "",
+            "POSES, or a skeleton with a section `body` to make some from",
+            f"neither in {source.skeleton_name}",
+            "see docs/skeletons.md",
         )
 
 
@@ -324,8 +342,10 @@ def own_poses(poses: Poses3D, skeleton: Skeleton, up: Floats, split: Split) -> P
     count = int(enough.sum())
     if count < OWN_SPECIES_LEAST_POSES:
         raise DegenerateError(
-            f"expected at least {OWN_SPECIES_LEAST_POSES} whole 3D poses to {split} on, "
-            f"found {count}; record longer"
+            "",
+            f"at least {OWN_SPECIES_LEAST_POSES} whole 3D poses to {split} on",
+            count,
+            "record longer",
         )
     return PoseSet(stand_upright(joints[enough], up), np.full(count, 1.0 / count))
 
@@ -347,8 +367,10 @@ def own_skeleton(name: str, poses: Poses3D) -> Skeleton:
     most = int(known.sum(-1).max(initial=0))
     if most < LEAST_JOINTS:
         raise DegenerateError(
-            f"expected poses with at least {LEAST_JOINTS} keypoints in 3D to learn from, "
-            f"found {most} at most; record longer"
+            "",
+            f"poses with at least {LEAST_JOINTS} keypoints in 3D to learn from",
+            f"{most} at most",
+            "record longer",
         )
     seen = np.flatnonzero(known.any((0, 1)))
     keypoints = [poses.keypoints[keypoint] for keypoint in seen]

@@ -32,8 +32,10 @@ def training_config(settings: Mapping[str, Any]) -> TrainConfig:
     known = {field.name for field in fields(TrainConfig)}
     if unknown := sorted(set(settings) - known):
         raise FormatError(
-            "training: expected settings of TrainConfig (docs/skeletons.md), "
-            f"found {', '.join(unknown)}"
+            "training",
+            "settings of TrainConfig (docs/skeletons.md)",
+            ", ".join(unknown),
+            "rename or remove them",
         )
     values: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()

@@ -67,8 +67,10 @@ def evaluate(rig: CameraRig, reference: CameraRig) -> Evaluation:
     names = tuple(sorted(name for name in reference.names if name in rig.names))
     if len(names) < 2:
         raise MismatchError(
-            f"expected at least two cameras of the reference ({', '.join(reference.names)}), "
-            f"found {', '.join(rig.names)}; match their names"
+            "",
+            f"at least two cameras of the reference ({', '.join(reference.names)})",
+            ", ".join(rig.names),
+            "match their names",
         )
     pairs = tuple(combinations(sorted(reference.names), 2))
     errors = np.array([_pair_error(rig, reference, a, b) for a, b in pairs])

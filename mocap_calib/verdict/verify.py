@@ -183,8 +183,10 @@ def _adjust_from(
         except DegenerateError:
             break
     raise DegenerateError(
-        "expected a calibration most of whose cameras agree on somebody, found another; "
-        "check that the keypoints belong to it, or calibrate anew: `mocap-calib run`"
+        "",
+        "a calibration most of whose cameras agree on somebody",
+        "another",
+        "check that the keypoints belong to it, or calibrate anew: `mocap-calib run`",
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
-from mocap_calib.errors import MismatchError, count, one_line, suggest
+from mocap_calib.errors import MismatchError, argument, count, one_line, suggest
 from mocap_calib.geometry.rotation import Similarity, align_by_similarity, angle_between, rig_size
 from mocap_calib.recording.corrections import views_by_camera
 from mocap_calib.results import RigCovariance
@@ -73,7 +73,7 @@ def align_to_cameras(
     order = np.array([views[name] for name in target.names])
     own = rig.select(order)
     stated = _Stated(
-        option="--world",
+        option=argument("world"),
         unit=config.unit,
         things="cameras",
         names=target.names,
@@ -101,8 +101,10 @@ def stated_rig(known: Sequence[KnownCamera], names: Sequence[str]) -> CameraRig:
     if len(shared) < 2:
         found = ", ".join(camera.name for camera in shared) or "none"
         raise MismatchError(
-            "--world: expected a file with at least two cameras of the recording "
-            f"({', '.join(names)}), found {found}; check their names"
+            argument("world"),
+            f"a file with at least two cameras of the recording ({', '.join(names)})",
+            found,
+            "check their names",
         )
     rig = CameraRig(
         cameras=tuple(Camera(camera.name, (0, 0), np.eye(3)) for camera in shared),
@@ -111,8 +113,10 @@ def stated_rig(known: Sequence[KnownCamera], names: Sequence[str]) -> CameraRig:
     )
     if rig_size(rig) <= 1e-9 * np.abs(rig.centres).max():
         raise MismatchError(
-            "--world: expected a file whose cameras are in different places, found "
-            f"{', '.join(rig.names)} in one; give another"
+            argument("world"),
+            "a file whose cameras are in different places",
+            f"{', '.join(rig.names)} in one",
+            "give another",
         )
     return rig
 
@@ -143,7 +147,7 @@ def align_to_landmarks(
     _check_landmarks(found[seen], len(names), config)
     detected = np.isfinite(pixels[:, seen, 0])
     stated = _Stated(
-        option="--align",
+        option=argument("align"),
         unit="m",
         things="landmarks",
         names=tuple(one_line(name) for name, there in zip(names, seen, strict=True) if there),
@@ -173,8 +177,10 @@ def check_landmarks(
     strangers = {each.camera for each in landmarks} - set(cameras)
     if strangers:
         raise MismatchError(
-            f"--align: expected cameras of the recording ({', '.join(cameras)}), "
-            f"found {min(strangers)!r}; {suggest(min(strangers), cameras)}"
+            argument("align"),
+            f"cameras of the recording ({', '.join(cameras)})",
+            f"{min(strangers)!r}",
+            suggest(min(strangers), cameras),
         )
     seen = Counter(each.name for each in landmarks)
     places = {each.name: each.position for each in landmarks if seen[each.name] >= 2}
@@ -188,15 +194,19 @@ def _check_landmarks(points: Floats, number: int, config: WorldConfig) -> None:
     """
     if len(points) < LEAST_LANDMARKS:
         raise MismatchError(
-            f"--align: expected {LEAST_LANDMARKS} landmarks that two cameras see, "
-            f"found {len(points)} of {number}; add observations"
+            argument("align"),
+            f"{LEAST_LANDMARKS} landmarks that two cameras see",
+            f"{len(points)} of {number}",
+            "add observations",
         )
     extent = np.linalg.svd(points - points.mean(0), compute_uv=False)
     # within three standard deviations of their places: the rotation about the line is open
     if extent[1] <= 3 * config.stated_sigma * extent[0]:
         raise MismatchError(
-            "--align: expected landmarks that are not on a line, found all of them on one; "
-            "add one beside it"
+            argument("align"),
+            "landmarks that are not on a line",
+            "all of them on one",
+            "add one beside it",
         )
 
 
@@ -216,9 +226,11 @@ def _fit(stated: _Stated, config: WorldConfig) -> _Fit:
         angle = "" if stated.turned is None else f" and {np.degrees(_rms(turn)):.0f} deg"
         worst = stated.names[int(np.argmax(np.max(offs, axis=0)))]
         raise MismatchError(
-            f"{stated.option}: expected {stated.things} where the recording shows them, found "
+            stated.option,
+            f"{stated.things} where the recording shows them",
             f"them {_describe_distance(stated, distance)}{angle} from there (RMS), most of all "
-            f"{worst}; correct or leave out that one, or give the file right-handed axes"
+            f"{worst}",
+            "correct or leave out that one, or give the file right-handed axes",
         )
     return _Fit(by, distance, turn, _rms(distance) / extent / np.sqrt(max(known.size - 7, 1)))
 

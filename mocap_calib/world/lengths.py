@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import CueConfig, ScaleCue, WorldConfig
-from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.errors import MismatchError, argument, spell_as_option, suggest
 from mocap_calib.geometry.rotation import body_size
 from mocap_calib.kinematics import quantile_over_frames
 from mocap_calib.recording.corrections import views_by_camera
@@ -27,7 +27,7 @@ from mocap_calib.world.floor import (
     stand_straight,
 )
 
-_OTHER_CUES = "use --length or --camera-distance"
+_OTHER_CUES = f"use {argument('length')} or {argument('camera_distance')}"
 _METRES = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048}
 _RESCALED = "axes and origin are those of the file; lengths follow from known ones instead"
 
@@ -118,8 +118,10 @@ def find_scale(cues: Sequence[ScaleCue], on: Measurable, config: WorldConfig) ->
             for cue in measured
         )
         raise MismatchError(
-            f"scale: expected lengths that agree with each other, found {listed}; "
-            "correct or leave out one of them"
+            "scale",
+            "lengths that agree with each other",
+            listed,
+            "correct or leave out one of them",
         )
     return Scale(factor, float(np.sqrt(1 / weight.sum())), measured)
 
@@ -144,7 +146,7 @@ def statures(on: Measurable, config: WorldConfig) -> Floats:
     heads = head_columns(on.joints, config.measure)
     if isinstance(on.floor, str):
         raise MismatchError(
-            f"--height: expected someone who stands, found that {on.floor}; {_OTHER_CUES}"
+            argument("height"), "someone who stands", f"that {on.floor}", _OTHER_CUES
         )
     positions, floor = on.poses.positions, config.floor
     height = (positions - on.floor.point) @ on.floor.up
@@ -164,32 +166,38 @@ def _measure_height(cue: ScaleCue, on: Measurable, config: WorldConfig) -> tuple
     if cue.of:
         found = found[[find_individual(cue.of, len(found), on.individuals)]]
     who = f"individual {cue.of}" if cue.of else "someone"
-    refusal = f"--height: expected {who} on a straight leg, found no one; {_OTHER_CUES}"
-    middle, sigma = _median_of(found, config.measure.height_sigma, refusal)
+    if not np.isfinite(found).any():
+        raise MismatchError(argument("height"), f"{who} on a straight leg", "no one", _OTHER_CUES)
+    middle, sigma = _median_of(found, config.measure.height_sigma)
     low = on.floor.sigma / middle if isinstance(on.floor, Floor) else 0.0
     return middle, float(np.hypot(sigma, low))
 
 
 def _measure_length(cue: ScaleCue, on: Measurable, config: CueConfig) -> tuple[float, float]:
     """Return the median distance of two joints, of the median individual."""
-    pair = joint_pair(cue.of, on.poses.keypoints, on.joints, "--length")
+    pair = joint_pair(cue.of, on.poses.keypoints, on.joints, "length")
     middles = quantile_over_frames(distance(on.poses.positions, *pair), 0.5)
-    refusal = (
-        f"--length {cue.of}: expected both joints of a subject in one frame, found them in none; "
-        "use another pair"
-    )
-    return _median_of(middles, 2 * config.height_sigma, refusal)
+    if not np.isfinite(middles).any():
+        raise MismatchError(
+            argument("length", cue.of),
+            "both joints of a subject in one frame",
+            "them in none",
+            "use another pair",
+        )
+    return _median_of(middles, 2 * config.height_sigma)
 
 
 def _measure_cameras(cue: ScaleCue, on: Measurable) -> tuple[float, float]:
     """Return the distance of two cameras."""
-    a, b = camera_pair(cue.of, on.rig.names, "--camera-distance")
+    a, b = camera_pair(cue.of, on.rig.names, "camera_distance")
     offset = on.rig.centres[b] - on.rig.centres[a]
     length = float(np.linalg.norm(offset))
     if length == 0:
         raise MismatchError(
-            f"--camera-distance {cue.of}: expected cameras in different places, found them in "
-            "one; use another pair"
+            argument("camera_distance", cue.of),
+            "cameras in different places",
+            "them in one",
+            "use another pair",
         )
     parts = on.covariance.matrix[[a, b], 3:][:, :, [a, b], 3:] * on.covariance.size**2
     signs, along = np.array([-1.0, 1.0]), offset / length
@@ -197,24 +205,23 @@ def _measure_cameras(cue: ScaleCue, on: Measurable) -> tuple[float, float]:
     return length, float(np.hypot(np.sqrt(max(variance, 0.0)) / length, 1e-3))
 
 
-def _median_of(values: Floats, sigma: float, refusal: str) -> tuple[float, float]:
+def _median_of(values: Floats, sigma: float) -> tuple[float, float]:
     """Return the median over the individuals, and its relative standard deviation.
 
-    It has their spread, as the cue may be of any of them. values: `[individual]`, NaN = not known.
-    sigma: relative, of each. Raises MismatchError, which says the refusal, where none is known.
+    It has their spread, as the cue may be of any of them. values: `[individual]`, NaN = not known,
+    but for one at least. sigma: relative, of each.
     """
     values = values[np.isfinite(values)]
-    if not len(values):
-        raise MismatchError(refusal)
     middle = float(np.median(values))
     spread = 1.4826 * np.median(np.abs(values - middle)) / middle
     return middle, float(np.hypot(sigma, spread))
 
 
-def check_unit(positions: Floats, joints: Joints, option: str, config: CueConfig) -> list[str]:
+def check_unit(positions: Floats, joints: Joints, name: str, config: CueConfig) -> list[str]:
     """Return a remark where people are too small for a stated unit of length, none if they fit.
 
-    positions: `[frame, individual, keypoint, 3]` in metres by the stated unit. option: states it.
+    positions: `[frame, individual, keypoint, 3]` in metres by the stated unit. name: of the
+        argument that states it.
 
     Raises MismatchError where people are too tall.
     """
@@ -231,10 +238,13 @@ def check_unit(positions: Floats, joints: Joints, option: str, config: CueConfig
     metres = float(np.median(known))
     if metres > config.statures[1]:
         raise MismatchError(
-            f"{option}: expected lengths in its unit, found people {metres:.4g} m tall; "
-            f"{likely_unit(metres, config)}"
+            argument(name),
+            "lengths in its unit",
+            f"people {metres:.4g} m tall",
+            likely_unit(metres, config),
         )
     too_small = metres < config.statures[0]
+    option = spell_as_option(name, "")
     return [f"people are {metres:.2g} m tall: is the unit of {option} right?"] if too_small else []
 
 
@@ -265,19 +275,20 @@ def check_cues(
             least, most = config.statures
             if not least <= cue.metres <= most:
                 raise MismatchError(
-                    f"--height: expected the stature of a person in metres, {least:g} to "
-                    f"{most:g}, found {cue.metres:g}; {likely_unit(cue.metres, config)}"
+                    argument("height"),
+                    f"the stature of a person in metres, {least:g} to {most:g}",
+                    f"{cue.metres:g}",
+                    likely_unit(cue.metres, config),
                 )
             own = [find_individual(cue.of, count, individuals)] if cue.of else []
             what = frozenset(own)
         elif cue.kind == "length":
-            what = frozenset(joint_pair(cue.of, keypoints, joints, "--length"))
+            what = frozenset(joint_pair(cue.of, keypoints, joints, "length"))
         else:
-            what = frozenset(camera_pair(cue.of, views, "--camera-distance"))
+            what = frozenset(camera_pair(cue.of, views, "camera_distance"))
         if (cue.kind, what) in seen:
             raise MismatchError(
-                f"scale: expected each length once, found {describe_cue(cue)} twice; "
-                "leave one of them out"
+                "scale", "each length once", f"{describe_cue(cue)} twice", "leave one of them out"
             )
         seen.add((cue.kind, what))
 
@@ -298,8 +309,10 @@ def head_columns(joints: Joints, config: CueConfig) -> list[tuple[int, float]]:
              if name in joints.columns]  # fmt: skip
     if joints.kind != "people" or not heads or not joints.have_feet:
         raise MismatchError(
-            "--height: expected people with ankles and points of the head (head_top, eyes, ears "
-            f"or nose), found none; {_OTHER_CUES}"
+            argument("height"),
+            "people with ankles and points of the head (head_top, eyes, ears or nose)",
+            "none",
+            _OTHER_CUES,
         )
     return heads
 
@@ -318,30 +331,32 @@ def find_individual(text: str, count: int | None, individuals: Sequence[str] = (
         return index
     known = ["0", "1", "..."] if count is None else [*map(str, range(count)), *individuals]
     raise MismatchError(
-        f"--height {text}=...: expected an individual, one of {', '.join(known)}, "
-        f"found {text!r}; {suggest(text, known)}"
+        argument("height", f"{text}=..."),
+        f"an individual, one of {', '.join(known)}",
+        f"{text!r}",
+        suggest(text, known),
     )
 
 
-def joint_pair(
-    text: str, keypoints: tuple[str, ...], joints: Joints, option: str
-) -> tuple[int, int]:
+def joint_pair(text: str, keypoints: tuple[str, ...], joints: Joints, name: str) -> tuple[int, int]:
     """Return the indices of two keypoints of `A-B`, by their own names or those of joints.
+
+    name: of the argument that holds the text.
 
     Raises MismatchError.
     """
     known = joints.columns | {name: k for k, name in enumerate(keypoints)}
-    return _find_pair(text, known, "joints", keypoints, option)
+    return _find_pair(text, known, "joints", keypoints, name)
 
 
-def camera_pair(text: str, views: Sequence[str], option: str) -> tuple[int, int]:
+def camera_pair(text: str, views: Sequence[str], name: str) -> tuple[int, int]:
     """Return the indices of the views of two cameras of `A-B`. Raises MismatchError."""
     known = {name: own[0] for name, own in views_by_camera(views).items()}
-    return _find_pair(text, known, "cameras", tuple(known), option)
+    return _find_pair(text, known, "cameras", tuple(known), name)
 
 
 def _find_pair(
-    text: str, known: Mapping[str, int], what: str, offered: Sequence[str], option: str
+    text: str, known: Mapping[str, int], what: str, offered: Sequence[str], name: str
 ) -> tuple[int, int]:
     """Return the indices of the two names of `A-B`, either of which may have a `-`.
 
@@ -357,8 +372,10 @@ def _find_pair(
     strangers = [name for name in names if name not in known and normalise_name(name) not in known]
     advice = suggest(strangers[0], offered) if strangers else "give two"
     raise MismatchError(
-        f"{option} {text}: expected two {what}, as A-B, of {', '.join(offered)}, "
-        f"found {(strangers or names)[0]!r}; {advice}"
+        argument(name, text),
+        f"two {what}, as A-B, of {', '.join(offered)}",
+        f"{(strangers or names)[0]!r}",
+        advice,
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
-from mocap_calib.errors import DegenerateError, MismatchError, suggest
+from mocap_calib.errors import DegenerateError, MismatchError, argument, spell_as_option, suggest
 from mocap_calib.geometry.rotation import Similarity, nearest_rotation
 from mocap_calib.recording.corrections import own_names, views_by_camera
 from mocap_calib.results import CalibrationResult, GroupResult, Poses3D, RigCovariance
@@ -48,12 +48,15 @@ def check_world(config: WorldConfig, recording: Recording, individuals: int | No
     joints = joints_of_recording(recording)
     _check_axes(config, cameras, joints)
     if config.forward:
-        joint_pair(config.forward, recording.keypoints, joints, "--forward")
+        joint_pair(config.forward, recording.keypoints, joints, "forward")
     known_scale = config.landmarks or (config.cameras and config.unit in METRES)
     if config.cues and known_scale:
         raise MismatchError(
-            "scale: expected lengths from one source, found known lengths and a world in a known "
-            "unit; leave out --height, --length and --camera-distance"
+            "scale",
+            "lengths from one source",
+            "known lengths and a world in a known unit",
+            f"leave out {argument('height')}, {argument('length')} and "
+            f"{argument('camera_distance')}",
         )
     names = (recording.keypoints, joints, recording.names)
     check_cues(config.cues, *names, config.measure, count=individuals)
@@ -66,22 +69,28 @@ def _check_axes(config: WorldConfig, cameras: Sequence[str], joints: Joints) -> 
     elif config.axes not in (*WORLDS, *cameras):
         offered = ", ".join((*WORLDS, *cameras))
         raise MismatchError(
-            f"--world: expected one of {offered}, or a file, found {config.axes!r}; "
-            f"{suggest(config.axes, (*WORLDS, *cameras))}"
+            argument("world"),
+            f"one of {offered}, or a file",
+            f"{config.axes!r}",
+            suggest(config.axes, (*WORLDS, *cameras)),
         )
     if config.landmarks:
         check_landmarks(config.landmarks, cameras, config)
     on_floor = not config.cameras and not config.landmarks and config.axes in ("auto", "floor")
     if config.forward and not on_floor:
         raise MismatchError(
-            "--forward: expected a world on the floor, found another; "
-            "leave out --forward, --world or --align"
+            argument("forward"),
+            "a world on the floor",
+            "another",
+            f"leave out {argument('forward')}, {argument('world')} or {argument('align')}",
         )
     if (config.forward or config.axes == "floor") and not joints.have_feet:
-        option = "--forward" if config.forward else "--world floor"
+        option = argument("forward") if config.forward else argument("world", "floor")
         raise MismatchError(
-            f"{option}: expected subjects that show a floor, found that {NO_FEET} (of people, or "
-            "of animals on four legs); leave it out"
+            option,
+            "subjects that show a floor",
+            f"that {NO_FEET} (of people, or of animals on four legs)",
+            "leave it out",
         )
 
 
@@ -126,13 +135,13 @@ def find_placement(on: Measurable, config: WorldConfig) -> Placement:
     try:
         scale = find_scale(config.cues, on, config)
     except MismatchError as error:
-        scale_unmet = str(error)
+        scale_unmet = error.render(spell_as_option)
     try:
         placement = _find_axes(on, config)
     except (MismatchError, DegenerateError) as error:
         plain = replace(config, axes="auto", cameras=(), landmarks=(), forward="")
         placement = _find_axes(on, plain)
-        unmet = replace(placement.world, axes_unmet=str(error))
+        unmet = replace(placement.world, axes_unmet=error.render(spell_as_option))
         placement = replace(placement, world=unmet)
     if scale is not None:
         by = placement.by  # whose lengths may differ from those that were measured
@@ -153,10 +162,14 @@ def _find_axes(on: Measurable, config: WorldConfig) -> Placement:
         by = _way_to_floor(on, on.floor, config)
         return Placement(by, on.poses.unit, World(kind="floor"))
     if config.axes == "floor" or config.forward:
-        option = f"--forward {config.forward}" if config.forward else "--world floor"
+        option = (
+            argument("forward", config.forward) if config.forward else argument("world", "floor")
+        )
         raise MismatchError(
-            f"{option}: expected subjects that show a floor, found that {on.floor}; "
-            "leave it out, or use --world CAMERA"
+            option,
+            "subjects that show a floor",
+            f"that {on.floor}",
+            f"leave it out, or use {argument('world', 'CAMERA')}",
         )
     return _look_through_camera(on, config)
 
@@ -168,10 +181,10 @@ def _stated_axes(on: Measurable, config: WorldConfig) -> Placement:
     """
     align = align_to_landmarks if config.landmarks else align_to_cameras
     by, sigma, world = align(on.rig, config, on.covariance)
-    option, unit = ("--align", "m") if config.landmarks else ("--world", config.unit)
+    name, unit = ("align", "m") if config.landmarks else ("world", config.unit)
     if unit in METRES:
         metres = METRES[unit] * by.scale * on.poses.positions
-        doubts = check_unit(metres, on.joints, option, config.measure)
+        doubts = check_unit(metres, on.joints, name, config.measure)
         world = replace(world, scale_sigma=sigma, remarks=(*world.remarks, *doubts))
     return Placement(by, unit, world)
 
@@ -197,7 +210,7 @@ def _heading(on: Measurable, up: Floats, config: WorldConfig) -> Floats:
         looking, image_up = on.rig.rotation[0, 2], -on.rig.rotation[0, 1]
         steep = abs(looking @ up) > 0.98  # a camera that looks down: what is above in its image
         return np.asarray(image_up if steep else looking)
-    a, b = joint_pair(config.forward, on.poses.keypoints, on.joints, "--forward")
+    a, b = joint_pair(config.forward, on.poses.keypoints, on.joints, "forward")
     direction = (on.poses.positions[:, :, b] - on.poses.positions[:, :, a]).reshape(-1, 3)
     direction = direction[np.isfinite(direction[:, 0])]
     level = direction - (direction @ up)[:, None] * up
@@ -206,8 +219,10 @@ def _heading(on: Measurable, up: Floats, config: WorldConfig) -> Floats:
     ahead = np.median(level, axis=0) if len(level) else np.zeros(3)
     if np.linalg.norm(ahead - (ahead @ up) * up) < 0.1:
         raise MismatchError(
-            f"--forward {config.forward}: expected joints that mostly lie in one direction, found "
-            "them in all directions or not at all; leave it out"
+            argument("forward", config.forward),
+            "joints that mostly lie in one direction",
+            "them in all directions or not at all",
+            "leave it out",
         )
     return np.asarray(ahead)
 
@@ -221,8 +236,10 @@ def _look_through_camera(on: Measurable, config: WorldConfig) -> Placement:
     named = config.axes not in WORLDS
     if named and config.axes not in views:
         raise MismatchError(
-            f"--world {config.axes}: expected a camera of the rig, one of {', '.join(views)}, "
-            "found one that was left out of it; name another"
+            argument("world", config.axes),
+            f"a camera of the rig, one of {', '.join(views)}",
+            "one that was left out of it",
+            "name another",
         )
     name = config.axes if named else next(iter(views))
     rotation, translation = on.rig.rotation[views[name]], on.rig.translation[views[name]]

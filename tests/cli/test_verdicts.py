@@ -117,10 +117,10 @@ def test_what_cannot_be_had_of_the_world_ends_a_run_after_all_files_were_written
         "test_verdicts.judged", lambda *_: replace(placed, groups=(groups[0], placed.groups[1]))
     )
     done = run_with(("usable",), "--write", "trc", "--height", "9=1.7", "--fps", "30")
-    assert (done.exit_code, type(done.exception).__name__) == (1, "MismatchError")
+    assert done.exit_code == 1
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {*FILES, "group_2"}
-    said = str(done.exception)
-    assert said.startswith("--height 9: expected 0, found 9; ask; all files but trc are written")
+    said = done.stderr.splitlines()[-1]
+    assert "--height 9: expected 0, found 9; ask; all files but trc are written" in said
     assert "mocap-calib scale OUT" in said
     assert done.stderr.count("trc is not written: ") == 1
     report = json.loads((tmp_path / "out" / "run.json").read_text("utf-8"))

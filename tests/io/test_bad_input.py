@@ -221,7 +221,7 @@ def test_an_image_size_makes_pixels_of_shares(tmp_path):
         (partial(shares, least=-1.0), {"image_size": SIZE}, "from 0 to 1"),
         (partial(write_coco, cameras="ab"), {"frame_offset": {"c": 1}}, "c"),
         (partial(write_coco, cameras="ab"), {"frame_offset": {"a": -50000}}, "a"),
-        (partial(write_coco, cameras="ab"), {"camera_pattern": "view[0-9]"}, "--camera-regex"),
+        (partial(write_coco, cameras="ab"), {"camera_pattern": "view[0-9]"}, "camera_regex="),
         (str, {}, "found none"),
     ],
 )

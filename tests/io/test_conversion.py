@@ -54,5 +54,5 @@ def test_content_and_names_tell_the_kind_and_the_ending_the_format(tmp_path):
     assert choose_kind(content, "b.yaml") == "cameras"
     assert choose_kind(content, "b.h5", to="poses-h5") == "poses"
     assert choose_format("cameras", "b.yml") == "mocap-calib"
-    with pytest.raises(MismatchError, match="say --to deeplabcut-h5 or --to sleap"):
+    with pytest.raises(MismatchError, match="say format='deeplabcut-h5' or format='sleap'"):
         choose_format("keypoints", "b.h5")

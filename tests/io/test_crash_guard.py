@@ -37,7 +37,7 @@ def much(numbers):
 
 
 def bad(words):
-    raise FormatError(words)
+    raise FormatError("", words, "none", "ask")
 
 
 def mistake():
@@ -141,7 +141,7 @@ def test_calls_of_other_threads_are_ended(size):
 
 
 def test_errors_and_values_come_back():
-    with pytest.raises(FormatError, match=r"^these words$"):
+    with pytest.raises(FormatError, match=r"^expected these words, found none; ask$"):
         inside(bad, "these words")
     with pytest.raises(KeyError) as found:
         inside(mistake)

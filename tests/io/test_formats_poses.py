@@ -358,8 +358,8 @@ def test_a_long_c3d_keeps_all_its_frames(tmp_path):
 @pytest.mark.parametrize(
     ("name", "change", "reason"),
     [
-        ("trc", {"rate": float("nan")}, "--fps"),
-        ("c3d", {"rate": float("nan")}, "--fps"),
+        ("trc", {"rate": float("nan")}, "fps="),
+        ("c3d", {"rate": float("nan")}, "fps="),
         ("c3d", {"poses": replace(example().poses, unit="arbitrary")}, "mocap-calib scale"),
         ("trc", {"poses": replace(example().poses, unit="arbitrary")}, "mocap-calib scale"),
         (

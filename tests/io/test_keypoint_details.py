@@ -107,7 +107,7 @@ def check(case: Case, folder: Path) -> None:
 MISSING_FIRST = np.where(np.arange(9).reshape(3, 1, 3, 1) == 0, NAN, POINTS)
 TWO = np.concatenate([POINTS, POINTS + 20], axis=1)
 HIDDEN = np.where(np.arange(6).reshape(3, 2, 1, 1) == 0, NAN, TWO)
-BY_CAMERA = r"--camera-regex|camera_regex"
+BY_CAMERA = "camera_regex="
 IDS = mc.ReadOptions(layout=NAMES, camera_pattern=r"1(?P<camera>\d{3})(?P<frame>\d{7})")
 
 
@@ -293,7 +293,7 @@ TABLES = {
         ],
         columns=dlc_columns(("nose_top", "tail_top", "nose_bot")),
     )._replace(options=mc.ReadOptions(views=("top", "bot"))),
-    "a view that is none": dlc("--views")._replace(options=mc.ReadOptions(views=("top",))),
+    "a view that is none": dlc("views=")._replace(options=mc.ReadOptions(views=("top",))),
     "a header of a name alone": row(
         "scorer,,s\nbodyparts,,nose\ncoords,,\n0,1,2\n", "row `coords`"
     ),
@@ -453,7 +453,7 @@ PER_FRAME = {
         {"positions": [[0, 240], [320, 0], [NAN, NAN]], "confidence": [1, 1, 0]},
         SHARES,
     ),
-    "shares without a size": Case(shares(*[0.5] * 9), "--image-size", LAYOUT),
+    "shares without a size": Case(shares(*[0.5] * 9), "image_size=", LAYOUT),
     "shares that are pixels": Case(shares(320, 240, 1, 10, 20, 1, 3, 4, 1), "letterboxed", SHARES),
     "a line twice": Case(TWICE, "line 2: .*line 1", SHARES),
     **{

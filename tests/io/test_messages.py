@@ -144,7 +144,7 @@ def test_the_format_of_the_output_is_of_the_kind_of_the_input(tmp_path):
         with pytest.raises(MismatchError) as refused:
             choose_kind([tmp_path / source], "out", to=to)
         text = str(refused.value)
-        assert f"--to {to}: expected a format of {kind}, which INPUT holds" in text
+        assert f"format={to!r}: expected a format of {kind}, which INPUT holds" in text
         assert offered in text.partition("choose one of ")[2]
     assert choose_kind([tmp_path / "a.csv"], "out", to="coco") == "keypoints"
 

@@ -359,7 +359,7 @@ def test_a_gallop_gathers_the_legs_when_the_back_is_bent():
 @pytest.mark.parametrize(
     ("fields", "complaint"),
     [
-        ({}, "lacking"),
+        ({}, "a bone to each joint"),
         ({"bones": {"b": [1, 0, 0], "c": [1, 0, 0]}}, "unknown"),
         ({"bones": {"b": [1, 0, 0]}, "always": {"b.twist": [0, 1]}}, "b.twist"),
         ({"bones": {"b": [1, 0, 0]}, "postures": {"x": {"angles": {"z.roll": [0, 1]}}}}, "found z"),

@@ -29,8 +29,8 @@ def poses(tmp_path) -> Path:
         (TrainingSource(skeleton="rodent", procedural=0.0), "expected POSES, or a skeleton"),
         (TrainingSource((Path("a.npz"),), procedural=0.2), "expected POSES, or a skeleton"),
         (TrainingSource((Path("a.npz"),), up=("+x", "+y")), "once for each of 1 files"),
-        (TrainingSource((Path("a"),), Path("p.h5")), "or --from, found both"),
-        (TrainingSource(calibrated=Path("nowhere/p.h5")), "or --up, found neither"),
+        (TrainingSource((Path("a"),), Path("p.h5")), "or calibrated=, found both"),
+        (TrainingSource(calibrated=Path("nowhere/p.h5")), "or up=, found neither"),
     ],
 )
 def test_parts_that_do_not_go_together(source, message):

@@ -24,6 +24,6 @@ def test_a_camera_is_assumed_to_have_a_usual_focal_length_and_to_look_along_the_
 
 def test_where_the_image_size_is_not_known_it_is_asked_for():
     unknown = replace(FILES[1], image_size=(0, 0), source="b.csv")
-    said = "b.csv: expected the size of the images of camera cam2.*--image-size cam2:WIDTHxHEIGHT"
+    said = "b.csv: expected the size of the images of camera cam2.*image_size=.*cam2"
     with pytest.raises(MismatchError, match=said):
         assume_cameras((FILES[0], unknown))

@@ -396,16 +396,16 @@ def test_edges_close_a_trunk_without_neck_and_pelvis():
     [
         (
             ("s/rat3_cam1_2024.json", "s/rat3_cam10_2024.json"),
-            'use --camera-regex "cam10|cam1|c\\.2", which finds these names in the paths',
+            r"use camera_regex='cam10|cam1|c\\.2', which finds these names in the paths",
         ),
         (
             ("s/left.json", "s/cam1.json"),
-            "give files with their cameras, as cam10=s/left.json, or use --camera-regex to find "
+            "give files with their cameras, as cam10=s/left.json, or use camera_regex= to find "
             "the camera names in the paths, or rename one side",
         ),
         (
             ("cam1/left.json", "cam1/right.json"),
-            "give files with their cameras, as cam1=cam1/left.json, or use --camera-regex to find "
+            "give files with their cameras, as cam1=cam1/left.json, or use camera_regex= to find "
             "the camera names in the paths, or rename one side",
         ),
     ],

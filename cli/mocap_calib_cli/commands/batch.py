@@ -15,7 +15,6 @@ from mocap_calib_cli.numbers import COUNT
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
     from mocap_calib.compute.parallel import Processes
-    from mocap_calib.errors import MismatchError
     from mocap_calib.job.steps import CalibrationRequest, Job
     from mocap_calib.results import CalibrationResult
     from mocap_calib_cli.progress import Reporter
@@ -171,7 +170,7 @@ class _Batch:
         request: "CalibrationRequest",
         status: str,
         report: "Mapping[str, Any]",
-        complaint: "MismatchError | None",
+        complaint: str,
     ) -> None:
         """Note what was found of the largest group, and what of it could not be had."""
         from mocap_calib.errors import count
@@ -182,7 +181,7 @@ class _Batch:
         groups = len(report["groups"])
         outcome = {
             "status": status,
-            "error": None if complaint is None else str(complaint),
+            "error": complaint or None,
             "groups": groups,
             "cameras": len(report["cameras"]),
             "left_out": report["left_out"],
@@ -241,9 +240,7 @@ def _read(request: "CalibrationRequest") -> "Job":
 
     folder = request.keypoints.paths[0]
     if not Path(folder).is_dir():
-        raise MismatchError(
-            f"{folder}: expected the folder of a recording, found none; check the path"
-        )
+        raise MismatchError(folder, "the folder of a recording", "none", "check the path")
     return read_job(request)
 
 

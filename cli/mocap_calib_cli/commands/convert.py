@@ -247,8 +247,10 @@ def _write_stdout(files: Mapping[str, bytes], format: str) -> None:
 
     if len(files) != 1:
         raise MismatchError(
-            f"{format}: expected one file for stdout, found {len(files)} "
-            f"({', '.join(list(files)[:4])}); give a folder"
+            format,
+            "one file for stdout",
+            f"{len(files)} ({', '.join(list(files)[:4])})",
+            "give a folder",
         )
     sys.stdout.buffer.write(next(iter(files.values())))
     sys.stdout.buffer.flush()

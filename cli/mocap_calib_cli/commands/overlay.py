@@ -99,8 +99,10 @@ def _read_detections(read: options.SharedOptions) -> "tuple[Keypoints2D, ...]":
 
     if not read.keypoints:
         raise MismatchError(
-            "expected run.json to say which keypoints the run read, found that it does not; "
-            "give --keypoints"
+            "",
+            "run.json to say which keypoints the run read",
+            "that it does not",
+            "give --keypoints",
         )
     return read_keypoints(read.keypoints, read.format, read_options(read))
 

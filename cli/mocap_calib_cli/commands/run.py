@@ -102,7 +102,8 @@ def command(
     if as_json:
         click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
     if complaint := written[0].complaint:
-        raise complaint
+        click.echo(f"mocap-calib: {complaint}", err=True)
+        context.exit(1)
     context.exit(verdicts.exit_status(result.groups[0].verdict, shared))
 
 

@@ -162,13 +162,13 @@ def command(
 
 def _check_source(source: "TrainingSource") -> None:
     """Raise click's UsageError where what was typed does not go together."""
-    from mocap_calib.errors import MismatchError
+    from mocap_calib.errors import MismatchError, spell_as_option
     from mocap_calib.training.poses import check_source
 
     try:
         check_source(source)
     except MismatchError as error:
-        raise click.UsageError(str(error)) from None
+        raise click.UsageError(error.render(spell_as_option)) from None
 
 
 def _typed_command() -> str:

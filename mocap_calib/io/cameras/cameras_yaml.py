@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, extrinsics_if_given
 from mocap_calib.io.cameras.intrinsics import camera_from_fields, describe_keys
 from mocap_calib.io.cameras.own import VERSION, format_cameras_yaml, read_clock
 from mocap_calib.io.cameras.source import CameraFile, Source, unique
-from mocap_calib.io.file import malformed
 from mocap_calib.io.provenance import read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.io.world_fields import read_world
@@ -29,11 +29,11 @@ def parse(source: Source) -> CameraFile:
     if data.get("version") != VERSION:
         expected = f"version {VERSION} of our cameras"
         found = f"version {data.get('version')}"
-        raise malformed(source.path, expected, found, "use the program that wrote it")
+        raise FormatError(source.path, expected, found, "use the program that wrote it")
     entries = data.get("cameras")
     if not isinstance(entries, list) or not entries:
         found = describe_keys(entries)
-        raise malformed(source.path, "a list of cameras", found, "write the file again")
+        raise FormatError(source.path, "a list of cameras", found, "write the file again")
     cameras = unique((camera_from_fields(each, source.path) for each in entries), source.path)
     placed: list[PlacedCamera] = []
     for camera, fields in zip(cameras, entries, strict=True):

@@ -24,7 +24,6 @@ from mocap_calib.io.cameras.common import (
 )
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
 from mocap_calib.io.cameras.source import CameraFile, unique
-from mocap_calib.io.file import malformed
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, CameraRig
 
@@ -69,7 +68,7 @@ def _load(folder: Path, source: str) -> pycolmap.Reconstruction:
         model = pycolmap.Reconstruction(folder)
     except MemoryError:
         found = "one whose counts no memory holds"
-        raise malformed(source, "a COLMAP model", found, _REMEDY) from None
+        raise FormatError(source, "a COLMAP model", found, _REMEDY) from None
     except _REFUSALS as error:
         raise _refusal(error, source) from None
     _check_sizes(model, folder, source)
@@ -81,7 +80,9 @@ def _refusal(error: Exception, source: str) -> FormatError:
     said = str(error)
     known = (reason for part, reason in _REASONS.items() if part in said)
     reason = next(known, f"maybe it is cut or damaged ({said.rpartition('] ')[2]})")
-    return malformed(source, "a COLMAP model", f"one that COLMAP does not read: {reason}", _REMEDY)
+    return FormatError(
+        source, "a COLMAP model", f"one that COLMAP does not read: {reason}", _REMEDY
+    )
 
 
 def _check_sizes(model: pycolmap.Reconstruction, folder: Path, source: str) -> None:
@@ -100,8 +101,12 @@ def _check_sizes(model: pycolmap.Reconstruction, folder: Path, source: str) -> N
         for file in files:
             expected, found = (Path(at, file.name).stat().st_size for at in (again, folder))
             if expected != found:
-                lengths = f"{expected} bytes of {file.name}", f"{found}: it is cut or damaged"
-                raise malformed(source, *lengths, "copy or export it again")
+                raise FormatError(
+                    source,
+                    f"{expected} bytes of {file.name}",
+                    f"{found}: it is cut or damaged",
+                    "copy or export it again",
+                )
 
 
 def _make_camera(camera: pycolmap.Camera, where: str) -> Camera:
@@ -109,7 +114,7 @@ def _make_camera(camera: pycolmap.Camera, where: str) -> Camera:
     name = camera.model.name
     if name not in COLMAP_LENSES:
         expected = f"one of the camera models {', '.join(COLMAP_LENSES)}"
-        raise malformed(where, expected, name, "undistort, or choose another model")
+        raise FormatError(where, expected, name, "undistort, or choose another model")
     params = camera.params
     focal = params[camera.focal_length_idxs()]
     middle = params[camera.principal_point_idxs()] - CORNER_OFFSET
@@ -128,14 +133,14 @@ def _place_camera(image: pycolmap.Image, lens: Camera, source: str) -> PlacedCam
     try:
         name = image.name
     except UnicodeDecodeError as error:
-        raise malformed(source, "names of images in UTF-8", error, _REMEDY) from None
+        raise FormatError(source, "names of images in UTF-8", error, _REMEDY) from None
     where = f"{source}: image {name}"
     cam_from_world = image.cam_from_world()
     length = cam_from_world.rotation.norm()
     least, most = _LENGTHS_OF_QUATERNIONS
     if not least < length < most:  # nor is NaN
         expected = "a unit quaternion QW QX QY QZ"
-        raise malformed(where, expected, f"one of the length {length:.3g}", _REMEDY)
+        raise FormatError(where, expected, f"one of the length {length:.3g}", _REMEDY)
     cam_from_world.rotation.normalize()
     rotation, translation = cam_from_world.rotation.matrix(), cam_from_world.translation
     extrinsics = make_extrinsics(rotation, translation, where)

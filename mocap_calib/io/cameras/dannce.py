@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from mocap_calib.errors import one_line
+from mocap_calib.errors import FormatError, one_line
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers, skew_in_pixels
 from mocap_calib.io.cameras.source import (
@@ -25,7 +25,6 @@ from mocap_calib.io.cameras.source import (
     without_sizes,
     without_verdict,
 )
-from mocap_calib.io.file import malformed
 from mocap_calib.io.mat5 import DAMAGE, read_mat
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
@@ -77,13 +76,13 @@ def _load(source: Source) -> tuple[list[dict[str, Any]], list[str]]:
     Raises FormatError.
     """
     if source.content.startswith(b"MATLAB 7.3"):
-        raise malformed(source.path, "a .mat file of version 7 or below", "version 7.3", _REMEDY)
+        raise FormatError(source.path, "a .mat file of version 7 or below", "version 7.3", _REMEDY)
     try:
         found = read_mat(source.content, ("params", "camnames", *_FIELDS))
     except DAMAGE as error:
         expected = "a .mat file of Label3D or DANNCE"
         reason = one_line(error) or type(error).__name__
-        raise malformed(source.path, expected, f"an error ({reason})", _REMEDY) from None
+        raise FormatError(source.path, expected, f"an error ({reason})", _REMEDY) from None
     if "params" not in found and found.keys() >= set(_FIELDS):
         name = re.fullmatch(_ONE_CAMERA_STEM, source.stem)
         return [found], [name["camera"] if name else source.stem]
@@ -102,7 +101,7 @@ def _unpack_cells(found: Mapping[str, Any], source: str) -> tuple[list[dict[str,
     names = [str(name).strip() for name in camnames] if isinstance(camnames, list) else []
     if not params or len(params) < len(structs) or len(names) not in (0, len(params)):
         fields = ", ".join(_FIELDS)
-        raise malformed(
+        raise FormatError(
             source,
             f"cells params, a camera each, and as many camnames; or {fields} of one camera",
             f"{len(params)} and {len(names)}",
@@ -123,7 +122,7 @@ def _check_fields(fields: Mapping[str, Any], where: str) -> None:
     missing = [key for key in _FIELDS if key not in fields]
     if missing:
         expected = f"the fields {', '.join(_FIELDS)}"
-        raise malformed(where, expected, f"none of {', '.join(missing)}", _REMEDY)
+        raise FormatError(where, expected, f"none of {', '.join(missing)}", _REMEDY)
 
 
 def _parse_distortion(fields: Mapping[str, Any], where: str) -> Floats:
@@ -132,7 +131,7 @@ def _parse_distortion(fields: Mapping[str, Any], where: str) -> Floats:
     tangential = numbers(fields["TDistort"], "numbers TDistort", where).reshape(-1)
     if len(radial) not in (2, 3) or len(tangential) != 2:
         found = f"{len(radial)} and {len(tangential)}"
-        raise malformed(where, "2 or 3 RDistort and 2 TDistort", found, "mend the distortion")
+        raise FormatError(where, "2 or 3 RDistort and 2 TDistort", found, "mend the distortion")
     return np.concatenate([radial[:2], tangential, radial[2:]])
 
 

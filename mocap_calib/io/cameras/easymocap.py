@@ -16,7 +16,6 @@ from mocap_calib.io.cameras.common import Extrinsics, PlacedCamera, collect_came
 from mocap_calib.io.cameras.file_storage import format_file, format_matrix
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
 from mocap_calib.io.cameras.source import CameraFile, Source, need_names, terms
-from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
 
@@ -49,7 +48,7 @@ def _parse(intrinsics: Source, extrinsics: Source | None) -> CameraFile:
     names = fields["names"]
     if not isinstance(names, list):
         found = type(names).__name__
-        raise malformed(intrinsics.path, "a list of names", found, "export the cameras again")
+        raise FormatError(intrinsics.path, "a list of names", found, "export the cameras again")
     placed: list[PlacedCamera] = []
     for name in map(str, names):
         camera = _parse_camera(name, fields, intrinsics.path)
@@ -81,7 +80,7 @@ def _missing_matrix(name: str, fields: Mapping[str, Any], source: str) -> Format
     if any(str(key).startswith("R_") for key in fields):
         remedy = f"give a folder in which it is called {_EXTRINSICS}, beside its {_INTRINSICS}"
     expected = f"the matrix K_{name} of the camera {name} in names"
-    return malformed(source, expected, "none", remedy)
+    return FormatError(source, expected, "none", remedy)
 
 
 def _parse_place(name: str, fields: Mapping[str, Any], source: str) -> Extrinsics | None:

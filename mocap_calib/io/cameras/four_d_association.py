@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, has_json_entry
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
 from mocap_calib.io.cameras.source import (
@@ -22,7 +23,6 @@ from mocap_calib.io.cameras.source import (
     to_json,
     without_verdict,
 )
-from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
@@ -49,7 +49,7 @@ def _parse_camera(name: str, fields: Mapping[str, Any], source: str) -> PlacedCa
     transform = numbers(fields["RT"], "12 numbers RT", where)
     if matrix.size != 9 or transform.size != 12:
         found = f"{matrix.size} and {transform.size}"
-        raise malformed(where, "9 numbers K and 12 RT", found, "mend them")
+        raise FormatError(where, "9 numbers K and 12 RT", found, "mend them")
     camera = make_camera(
         name=name,
         size=fields["imgSize"],

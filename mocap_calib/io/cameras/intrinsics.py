@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
-from mocap_calib.io.file import malformed
 from mocap_calib.types import Camera, EstimatedCamera, Floats
 
 _PINHOLE_LENGTHS = (4, 5, 8)
@@ -34,7 +34,7 @@ def numbers(value: Any, expected: str, source: str) -> Floats:
             return np.array(value["data"], dtype=np.float64).reshape(shape)
         return np.array(value, dtype=np.float64)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise malformed(source, expected, f"an error ({error})", "mend the numbers") from None
+        raise FormatError(source, expected, f"an error ({error})", "mend the numbers") from None
 
 
 def make_camera(
@@ -80,7 +80,7 @@ def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Float
         if plausible:
             found = f"shapes {given.shape} and {offset.shape}"
         expected = "a rotation (3 x 3, or a vector of 3) and a translation of 3"
-        raise malformed(source, expected, found, "mend the extrinsics")
+        raise FormatError(source, expected, found, "mend the extrinsics")
     if given.size == 3:
         return matrix_from_vector(given.reshape(3)), offset
     return _check_rotation(given, source), offset
@@ -110,12 +110,14 @@ def camera_from_fields(fields: Any, source: str) -> Camera:
     """Return the camera of `camera_fields`; the model `pinhole` has no distortion."""
     if not isinstance(fields, dict) or not {"name", "K"} <= fields.keys():
         expected = "cameras with name, size, model, K, distortion"
-        raise malformed(source, expected, describe_keys(fields), "write the file again")
+        raise FormatError(source, expected, describe_keys(fields), "write the file again")
     name = str(fields["name"])
     where = f"{source}: camera {name}"
     model = fields.get("model", "opencv")
     if model not in _MODELS:
-        raise malformed(where, "the model opencv, fisheye or pinhole", model, "convert the camera")
+        raise FormatError(
+            where, "the model opencv, fisheye or pinhole", model, "convert the camera"
+        )
     camera = make_camera(
         name=name,
         size=fields.get("size"),
@@ -131,10 +133,10 @@ def _mark_estimated(camera: Camera, fields: Any, source: str) -> EstimatedCamera
     """Return a camera with the fields of `estimated_fields`. Raises FormatError."""
     expected = "estimated: focal_sigma and k1_sigma of 0 or more"
     if not isinstance(fields, dict) or fields.keys() != {"focal_sigma", "k1_sigma"}:
-        raise malformed(source, expected, describe_keys(fields), "write the file again")
+        raise FormatError(source, expected, describe_keys(fields), "write the file again")
     sigma = numbers([fields["focal_sigma"], fields["k1_sigma"]], expected, source)
     if sigma.shape != (2,) or not np.isfinite(sigma).all() or (sigma < 0).any():
-        raise malformed(source, expected, sigma.tolist(), "write the file again")
+        raise FormatError(source, expected, sigma.tolist(), "write the file again")
     return EstimatedCamera.of(camera, focal_sigma=float(sigma[0]), k1_sigma=float(sigma[1]))
 
 
@@ -152,7 +154,7 @@ def _check_size(value: Any, source: str) -> tuple[int, int]:
     size = numbers(value, "a size [width, height]", source).reshape(-1)
     fits = size.shape == (2,) and np.isfinite(size).all()
     if not fits or (size != size.round()).any() or (size < 0).any() or (size > _LARGEST_SIZE).any():
-        raise malformed(source, "a size [width, height] in pixels", value, "mend the size")
+        raise FormatError(source, "a size [width, height] in pixels", value, "mend the size")
     return int(size[0]), int(size[1])
 
 
@@ -162,7 +164,7 @@ def _check_rotation(given: Floats, source: str) -> Floats:
     if excess > _NOT_A_ROTATION or np.linalg.det(given) < 0:
         expected = "a rotation (orthonormal, determinant 1)"
         remedy = "check the axes and the order of the rows"
-        raise malformed(source, expected, "another matrix", remedy)
+        raise FormatError(source, expected, "another matrix", remedy)
     return nearest_rotation(given) if excess > _ROUNDED else given
 
 
@@ -172,9 +174,9 @@ def _check_matrix(value: Any, size: tuple[int, int], source: str) -> Floats:
     remedy = "mend the camera matrix"
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         found = f"shape {matrix.shape}"
-        raise malformed(source, "a finite 3 x 3 camera matrix", found, remedy)
+        raise FormatError(source, "a finite 3 x 3 camera matrix", found, remedy)
     if (matrix[2, :2] != 0).any() or matrix[2, 2] != 1 or matrix[1, 0] != 0:
-        raise malformed(
+        raise FormatError(
             source,
             "a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
             matrix.tolist(),
@@ -182,7 +184,7 @@ def _check_matrix(value: Any, size: tuple[int, int], source: str) -> Floats:
         )
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
         found = matrix[[0, 1], [0, 1]].tolist()
-        raise malformed(source, "positive focal lengths", found, remedy)
+        raise FormatError(source, "positive focal lengths", found, remedy)
     _check_skew(matrix, size, source)
     matrix[0, 1] = 0.0
     return matrix
@@ -196,7 +198,7 @@ def _check_skew(matrix: Floats, size: tuple[int, int], source: str) -> None:
     """
     moved = skew_in_pixels(matrix, size[1])
     if moved > _UNSEEN or abs(matrix[0, 1]) > _SKEWED * matrix[0, 0]:
-        raise malformed(
+        raise FormatError(
             source,
             "a camera matrix without skew",
             f"skew {matrix[0, 1]:.6g}, which moves pixels by up to {moved:.2g}",
@@ -220,7 +222,7 @@ def _check_distortion(value: Any, fisheye: bool, source: str) -> Floats:
     if not (len(given) in lengths or clear) or not np.isfinite(given).all():
         model = "the fisheye model" if fisheye else "OpenCV's model"
         expected = f"{' or '.join(map(str, lengths))} finite distortion coefficients of {model}"
-        raise malformed(source, expected, given.tolist(), "calibrate with one of them")
+        raise FormatError(source, expected, given.tolist(), "calibrate with one of them")
     if len(given) in lengths:
         return given
     padded = np.zeros(room)
@@ -233,5 +235,5 @@ def _without_prism(given: Floats, source: str) -> Floats:
     if (given[8:] != 0).any():
         expected = "at most 8 distortion coefficients that are not 0"
         found = f"thin-prism or tilt terms {given[8:].tolist()}"
-        raise malformed(source, expected, found, "calibrate without thin prism and tilt")
+        raise FormatError(source, expected, found, "calibrate without thin prism and tilt")
     return given[:8]

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, pinhole_matrix
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
 from mocap_calib.io.cameras.source import CameraFile, Source, entries, need
-from mocap_calib.io.file import malformed
 from mocap_calib.types import Camera, Floats
 
 _KEYS = ("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution")
@@ -71,11 +71,11 @@ def _parse_camera(name: str, fields: Mapping[str, Any], where: str) -> Camera:
     lens = str(fields["distortion_model"])
     if model != "pinhole" or lens not in _DISTORTION_MODELS:
         expected = "the models pinhole and radtan, equidistant or none"
-        raise malformed(where, expected, f"{model} and {lens}", "calibrate with one of them")
+        raise FormatError(where, expected, f"{model} and {lens}", "calibrate with one of them")
     expected = "intrinsics [fu, fv, pu, pv]"
     values = numbers(fields["intrinsics"], expected, where).reshape(-1)
     if len(values) != 4:
-        raise malformed(where, expected, f"{len(values)} numbers", "mend them")
+        raise FormatError(where, expected, f"{len(values)} numbers", "mend them")
     return make_camera(
         name=name,
         size=fields["resolution"],
@@ -91,6 +91,6 @@ def _parse_transform(value: Any, where: str) -> Floats:
     step = numbers(value, "a 4 x 4 transform T_cn_cnm1", where)
     if step.shape != (4, 4) or not np.isfinite(step).all():
         expected = "a finite 4 x 4 transform T_cn_cnm1"
-        raise malformed(where, expected, f"shape {step.shape}", "mend it")
+        raise FormatError(where, expected, f"shape {step.shape}", "mend it")
     make_extrinsics(step[:3, :3], step[:3, 3], where)  # which refuses what is no rotation
     return step

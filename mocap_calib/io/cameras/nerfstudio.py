@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import CORNER_OFFSET
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import (
     Extrinsics,
     PlacedCamera,
@@ -31,7 +32,6 @@ from mocap_calib.io.cameras.source import (
     terms,
     to_json,
 )
-from mocap_calib.io.file import malformed
 from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
@@ -72,13 +72,13 @@ def _parse_camera(name: str, fields: Mapping[str, Any], where: str) -> Camera:
     model = str(fields.get("camera_model", "OPENCV"))
     if model not in _MODELS:
         expected = f"a camera_model of {', '.join(_MODELS)}"
-        raise malformed(where, expected, model, "export with one of them")
+        raise FormatError(where, expected, model, "export with one of them")
     need(fields, ("fl_x", "cx", "cy"), where)
     fisheye = _MODELS[model]
     fx, fy, cx, cy = _parse_pinhole(fields, where)
     if not fisheye and fields.get("k4", 0) != 0:
         expected = "k1, k2, k3, p1, p2 of OpenCV's model"
-        raise malformed(where, expected, "a k4", "calibrate without it")
+        raise FormatError(where, expected, "a k4", "calibrate without it")
     terms_of_model = _FISHEYE_TERMS if fisheye else _PINHOLE_TERMS
     return make_camera(
         name=name,
@@ -106,7 +106,7 @@ def _parse_extrinsics(fields: Mapping[str, Any], where: str) -> Extrinsics:
     need(fields, ("transform_matrix",), where)
     matrix = numbers(fields["transform_matrix"], "a 4 x 4 transform_matrix", where)
     if matrix.shape not in ((4, 4), (3, 4)):
-        raise malformed(where, "a 4 x 4 transform_matrix", f"shape {matrix.shape}", "mend it")
+        raise FormatError(where, "a 4 x 4 transform_matrix", f"shape {matrix.shape}", "mend it")
     # world_from_cam: its translation is the camera's centre
     rotation, centre = make_extrinsics(matrix[:3, :3] * _OPENGL_AXES, matrix[:3, 3], where)
     return rotation.T, -rotation.T @ centre

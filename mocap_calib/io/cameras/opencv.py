@@ -12,11 +12,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import Extrinsics
 from mocap_calib.io.cameras.file_storage import format_file, format_matrix
 from mocap_calib.io.cameras.intrinsics import describe_keys, make_camera, make_extrinsics
 from mocap_calib.io.cameras.source import FILE_NAME, CameraFile, Source, need_names
-from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
@@ -73,13 +73,13 @@ def _parse_camera(data: Mapping[str, Any], source: Source) -> Camera:
     if matrix is None or "M2" in data:
         expected = f"one camera with its matrix under {', '.join(_MATRIX)}"
         found = "a stereo pair (M1, M2)" if "M2" in data else describe_keys(data)
-        raise malformed(source.path, expected, found, "give one file per camera")
+        raise FormatError(source.path, expected, found, "give one file per camera")
     if isinstance(matrix, list) and len(matrix) == 9:
         matrix = {"rows": 3, "cols": 3, "data": matrix}
     model = str(data.get("distortion_model", data.get("model", ""))).lower()
     if model not in (*_FISHEYE_MODELS, *_PINHOLE_MODELS):
         expected = "the distortion model plumb_bob, rational_polynomial or equidistant"
-        raise malformed(source.path, expected, model, "calibrate with one of them")
+        raise FormatError(source.path, expected, model, "calibrate with one of them")
     width, height = _first(data, _WIDTH), _first(data, _HEIGHT)
     return make_camera(
         name=str(data.get("camera_name") or source.stem),

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import (
     Extrinsics,
     PlacedCamera,
@@ -32,7 +33,6 @@ from mocap_calib.io.cameras.source import (
     terms,
     to_json,
 )
-from mocap_calib.io.file import malformed
 from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
@@ -98,7 +98,7 @@ def _map_items(source: Source, name: str) -> list[tuple[str, dict[str, Any]]]:
         value = entry["value"]
         if not isinstance(value, dict):
             found = type(value).__name__
-            raise malformed(where, "a value for each key", found, "export the cameras again")
+            raise FormatError(where, "a value for each key", found, "export the cameras again")
         items.append((str(entry["key"]), value))
     return items
 
@@ -127,7 +127,7 @@ def _parse_camera(name: str, model: str, fields: Mapping[str, Any], where: str) 
     """Return a camera without its place. Raises FormatError."""
     if model not in _MODELS:
         expected = f"one of the models {', '.join(_MODELS)}"
-        raise malformed(where, expected, model, "choose another camera model")
+        raise FormatError(where, expected, model, "choose another camera model")
     key, order = _MODELS[model]
     lens_keys = [key] if key else []
     need(fields, ("width", "height", "focal_length", "principal_point", *lens_keys), where)
@@ -136,7 +136,7 @@ def _parse_camera(name: str, model: str, fields: Mapping[str, Any], where: str) 
     known = [index for index in order if index is not None]
     if len(point) != 2 or len(lens) != len(known):
         expected = f"a principal_point of 2 and the numbers {key}"
-        raise malformed(where, expected, f"{len(point)} and {len(lens)}", "mend them")
+        raise FormatError(where, expected, f"{len(point)} and {len(lens)}", "mend them")
     focal = fields["focal_length"]
     return make_camera(
         name=name,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.cameras.comments import read_comments
 from mocap_calib.io.cameras.formats import (
     CAMERA_FORMATS,
@@ -21,7 +21,7 @@ from mocap_calib.io.cameras.formats import (
 )
 from mocap_calib.io.cameras.intrinsics import describe_keys
 from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files, unique
-from mocap_calib.io.file import malformed, read_bytes
+from mocap_calib.io.file import read_bytes
 from mocap_calib.io.media import name_media
 from mocap_calib.io.names import camera_name
 from mocap_calib.io.provenance import read_description
@@ -61,7 +61,7 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
     """Return the rig that a file holds. Raises FormatError where a camera has no extrinsics."""
     bare = [camera.name for camera in found.cameras if camera.name not in found.extrinsics]
     if bare:
-        raise malformed(
+        raise FormatError(
             source,
             "extrinsics (rotation and translation) of every camera: where it stands",
             f"none of {', '.join(bare)}",
@@ -89,7 +89,7 @@ def load_cameras(
     if path.is_dir():
         return _load_folder(path, format, unit)
     if found := name_media(path):
-        raise malformed(str(path), _expected_formats(), found, _REMEDY)
+        raise FormatError(str(path), _expected_formats(), found, _REMEDY)
     return parse_content(read_bytes(path), str(path), format, unit)
 
 
@@ -160,7 +160,7 @@ def _list_files(path: Path, endings: tuple[str, ...]) -> list[Path]:
 
 def _no_camera_files(path: Path, endings: tuple[str, ...], found: str) -> FormatError:
     expected = f"camera files ({', '.join(endings)}) in the folder"
-    return malformed(str(path), expected, found, "give the file itself")
+    return FormatError(str(path), expected, found, "give the file itself")
 
 
 def _candidates(format: str | None) -> tuple[CameraFormat, ...]:
@@ -178,7 +178,7 @@ def _unknown(file: Source) -> FormatError:
         found = f"text that begins with {' '.join(file.text.split())[:20]!r}"
     else:
         found = "another file"
-    return malformed(file.path, _expected_formats(), found, _REMEDY)
+    return FormatError(file.path, _expected_formats(), found, _REMEDY)
 
 
 def _expected_formats() -> str:
@@ -217,11 +217,13 @@ def _complete(found: CameraFile, form: CameraFormat, source: str, unit: str | No
     """
     stated = known_unit(found.unit, source)
     if unit is not None and found.unit.strip().lower() == ARBITRARY:
-        raise MismatchError(refuse_unit(source, unit))
+        raise refuse_unit(source, unit)
     if unit is not None and stated not in (ARBITRARY, unit):
         raise MismatchError(
-            f"{source}: expected lengths in {stated}, as the file says, found --input-unit {unit}; "
-            "leave it out"
+            source,
+            f"lengths in {stated}, as the file says",
+            argument("input_unit", unit),
+            "leave it out",
         )
     if stated == ARBITRARY:
         stated = unit or form.unit or ARBITRARY

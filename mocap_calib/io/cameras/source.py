@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.cameras.syntax import is_toml, parse_json, parse_toml, parse_yaml
-from mocap_calib.io.file import decode, find_repeated, malformed
+from mocap_calib.io.file import decode, find_repeated
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, CameraClock, CameraRig, Floats, World
@@ -74,14 +74,14 @@ class Source:
         """The parsed text. Raises FormatError, also where a key occurs twice."""
         if self.syntax not in _PARSERS:
             found = "a folder" if self.folder else "a binary file"
-            raise malformed(self.path, "text", found, "name another format")
+            raise FormatError(self.path, "text", found, "name another format")
         return _PARSERS[self.syntax](self.text, self.path)
 
     def mapping(self, *keys: str) -> dict[str, Any]:
         """Return the parsed text, which is a mapping with the keys. Raises FormatError."""
         if not isinstance(self.tree, dict):
             found = type(self.tree).__name__
-            raise malformed(self.path, "a mapping of names to fields", found, _REMEDY)
+            raise FormatError(self.path, "a mapping of names to fields", found, _REMEDY)
         need(self.tree, keys, self.path)
         return self.tree
 
@@ -129,9 +129,9 @@ def unique(cameras: Iterable[Camera], source: str) -> tuple[Camera, ...]:
     twice = find_repeated(camera.name for camera in kept)
     if twice:
         found = f"{', '.join(twice)} twice"
-        raise malformed(source, "each camera name once", found, "rename one of them")
+        raise FormatError(source, "each camera name once", found, "rename one of them")
     if not kept:
-        raise malformed(source, "at least one camera", "none", _REMEDY)
+        raise FormatError(source, "at least one camera", "none", _REMEDY)
     return kept
 
 
@@ -148,9 +148,9 @@ def entries(value: Any, what: str, source: str) -> list[tuple[str, dict[str, Any
     elif isinstance(value, list):
         pairs = list(enumerate(value))
     if not pairs:
-        raise malformed(source, what, "none", _REMEDY)
+        raise FormatError(source, what, "none", _REMEDY)
     if not all(isinstance(fields, dict) for _, fields in pairs):
-        raise malformed(source, what, f"{type(value).__name__} of something else", _REMEDY)
+        raise FormatError(source, what, f"{type(value).__name__} of something else", _REMEDY)
     return [(str(name), fields) for name, fields in pairs]
 
 
@@ -159,7 +159,7 @@ def need(fields: Mapping[str, Any], keys: Iterable[str], source: str) -> None:
     missing = [key for key in keys if key not in fields]
     if missing:
         expected = f"the keys {', '.join(keys)}"
-        raise malformed(source, expected, f"none of {', '.join(missing)}", _REMEDY)
+        raise FormatError(source, expected, f"none of {', '.join(missing)}", _REMEDY)
 
 
 def whole(value: Any, expected: str, source: str) -> int:
@@ -170,7 +170,7 @@ def whole(value: Any, expected: str, source: str) -> int:
             return int(number)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise malformed(source, expected, value, "mend it")
+    raise FormatError(source, expected, value, "mend it")
 
 
 def join_camera_files(found: CameraFile, more: CameraFile, source: str) -> CameraFile:
@@ -181,7 +181,7 @@ def join_camera_files(found: CameraFile, more: CameraFile, source: str) -> Camer
     if found.unit != more.unit:
         units = sorted(unit or "none said" for unit in (found.unit, more.unit))
         both = " and ".join(units)
-        raise malformed(source, "files in one unit of length", both, "convert one of them")
+        raise FormatError(source, "files in one unit of length", both, "convert one of them")
     return CameraFile(
         cameras=unique((*found.cameras, *more.cameras), source),
         extrinsics={**found.extrinsics, **more.extrinsics},
@@ -197,8 +197,7 @@ def join_camera_files(found: CameraFile, more: CameraFile, source: str) -> Camer
 def cannot(name: str, camera: str, expected: str, found: object, remedy: str) -> MismatchError:
     """Return the complaint of a format (`name`) that does not have what the camera has."""
     return MismatchError(
-        f"{name}: camera {camera}: expected {expected}, which is all the format has, "
-        f"found {found}; {remedy}"
+        f"{name}: camera {camera}", f"{expected}, which is all the format has", found, remedy
     )
 
 
@@ -231,9 +230,7 @@ def need_names(
     """
     for camera in cameras:
         if not re.fullmatch(pattern, camera):
-            raise MismatchError(
-                f"{owner}: expected camera names of {words}, found {camera!r}; {remedy}"
-            )
+            raise MismatchError(owner, f"camera names of {words}", f"{camera!r}", remedy)
 
 
 def need_sizes(rig: CameraRig, name: str) -> None:
@@ -241,8 +238,7 @@ def need_sizes(rig: CameraRig, name: str) -> None:
     for camera in rig.cameras:
         if 0 in camera.size:
             raise MismatchError(
-                f"{name}: expected the image size of camera {camera.name}, found none; "
-                "add it to the input"
+                name, f"the image size of camera {camera.name}", "none", "add it to the input"
             )
 
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import yaml
 
-from mocap_calib.io.file import find_repeated, malformed
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import find_repeated
 
 # PyYAML reads a megabyte of text, or 20 000 values, in a second; a camera takes a kilobyte of text
 # and fifty values
@@ -31,13 +32,13 @@ def parse_json(text: str, source: str) -> Any:
         found = dict(pairs)
         if len(found) < len(pairs):
             twice = find_repeated(name for name, _ in pairs)[0]
-            raise malformed(source, "each key once", f"{twice} twice", "rename one of them")
+            raise FormatError(source, "each key once", f"{twice} twice", "rename one of them")
         return found
 
     try:
         return json.loads(text, object_pairs_hook=check_once)
     except (ValueError, RecursionError) as error:
-        raise malformed(source, "JSON", f"an error ({error})", "write the file again") from None
+        raise FormatError(source, "JSON", f"an error ({error})", "write the file again") from None
 
 
 def parse_toml(text: str, source: str) -> Any:
@@ -45,7 +46,7 @@ def parse_toml(text: str, source: str) -> Any:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise malformed(source, "TOML", f"an error ({error})", "mend that line") from None
+        raise FormatError(source, "TOML", f"an error ({error})", "mend that line") from None
 
 
 def parse_yaml(text: str, source: str) -> Any:
@@ -53,7 +54,7 @@ def parse_yaml(text: str, source: str) -> Any:
     if len(text) > _YAML_CHARACTERS:
         expected = f"YAML of cameras, below {_YAML_CHARACTERS // 1_000_000} MB"
         found = f"{len(text) // 1_000_000} MB"
-        raise malformed(source, expected, found, "give the cameras alone")
+        raise FormatError(source, expected, found, "give the cameras alone")
     # OpenCV 4 writes `%YAML:1.0`, which is not YAML; `rostopic echo` ends with a line that begins
     # another document
     text = re.sub(r"\A\s*%YAML.*\n", "", text)
@@ -68,7 +69,7 @@ def parse_yaml(text: str, source: str) -> Any:
         AttributeError,
         KeyError,
     ) as error:
-        raise malformed(source, "YAML", f"an error ({error})", "mend the file") from None
+        raise FormatError(source, "YAML", f"an error ({error})", "mend the file") from None
 
 
 class _Loader(yaml.SafeLoader):

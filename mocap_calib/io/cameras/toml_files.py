@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.cameras.common import Extrinsics, PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.intrinsics import describe_keys, make_camera, make_extrinsics
 from mocap_calib.io.cameras.own import (
@@ -25,7 +25,6 @@ from mocap_calib.io.cameras.own import (
 )
 from mocap_calib.io.cameras.source import CameraFile, Source, need_sizes, terms
 from mocap_calib.io.cameras.toml_text import dump_toml
-from mocap_calib.io.file import malformed
 from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.io.world_fields import read_world
@@ -71,7 +70,7 @@ def parse(source: Source) -> CameraFile:
     data = source.mapping()
     sections = list(_sections(data))
     if not sections:
-        raise malformed(
+        raise FormatError(
             source.path,
             "sections with a camera's size, matrix and distortions",
             describe_keys(data) or "nothing",
@@ -176,8 +175,10 @@ def write_pose2sim(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     for view, camera in enumerate(rig.cameras):
         if camera.name in _NOT_CAMERAS:
             raise MismatchError(
-                f"pose2sim: expected camera names other than {', '.join(_NOT_CAMERAS)}, "
-                f"found {camera.name}; rename the camera"
+                "pose2sim",
+                f"camera names other than {', '.join(_NOT_CAMERAS)}",
+                camera.name,
+                "rename the camera",
             )
         sections[camera.name] = toml_fields(rig, view) | {
             "size": [float(length) for length in camera.size],

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import (
     PlacedCamera,
     collect_cameras,
@@ -28,7 +29,6 @@ from mocap_calib.io.cameras.source import (
     without_sizes,
     without_verdict,
 )
-from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
@@ -51,7 +51,7 @@ def parse(source: Source) -> CameraFile:
     if len(sequences) > 1:
         found = f"{len(sequences)} sequences"
         remedy = "keep one of them in the file"
-        raise malformed(source.path, "the cameras of one sequence", found, remedy)
+        raise FormatError(source.path, "the cameras of one sequence", found, remedy)
     cameras = sequences[0] if sequences else data
     placed: list[PlacedCamera] = []
     for number, fields in entries(cameras, "cameras by number", source.path):
@@ -76,7 +76,7 @@ def _parse_distortion(fields: Mapping[str, Any], where: str) -> Floats:
     tangential = numbers(fields.get("p", []), "the distortion p", where).reshape(-1)
     if len(radial) not in (0, 3) or len(tangential) not in (0, 2):
         found = f"{len(radial)} and {len(tangential)}"
-        raise malformed(where, "three k and two p", found, "mend the distortion")
+        raise FormatError(where, "three k and two p", found, "mend the distortion")
     distortion = np.zeros(5)
     if len(radial):
         distortion[[0, 1, 4]] = radial

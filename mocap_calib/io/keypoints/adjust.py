@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib.config import LARGEST_SHARE, LEAST_SHARE
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, argument
 from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.recording.names import compose_name
@@ -39,8 +39,10 @@ def _suffix_of(keypoint: str, suffixes: tuple[str, ...], source: str) -> str:
         if keypoint.endswith(f"_{suffix}"):
             return suffix
     raise MismatchError(
-        f"{source}: expected every keypoint to end in _{' or _'.join(suffixes)}, "
-        f"found {keypoint}; change --views"
+        source,
+        f"every keypoint to end in _{' or _'.join(suffixes)}",
+        keypoint,
+        f"change {argument('views')}",
     )
 
 
@@ -76,14 +78,18 @@ def _check_shares(view: Keypoints2D, size: tuple[int, int]) -> None:
         stated = "{}x{}".format(*view.image_size)
         given = "{}x{}".format(*size)
         raise MismatchError(
-            f"{view.source}: expected images of {stated}, as the file says, "
-            f"found --image-size {given}; change it"
+            view.source,
+            f"images of {stated}, as the file says",
+            argument("image_size", given),
+            "change it",
         )
     least = np.nanmin(view.positions, initial=0.0)
     if least < LEAST_SHARE:
         raise MismatchError(
-            f"{view.source}: expected pixels, or shares of the image from 0 to 1, "
-            f"found {least:.2f}; export pixels"
+            view.source,
+            "pixels, or shares of the image from 0 to 1",
+            f"{least:.2f}",
+            "export pixels",
         )
 
 
@@ -96,16 +102,20 @@ def apply_offsets(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[K
     for camera in options.image_sizes:
         if compose_name(camera) not in known:
             raise MismatchError(
-                f"expected image sizes of the cameras {', '.join(sorted(known))}, "
-                f"found one of {camera}; change its name"
+                "",
+                f"image sizes of the cameras {', '.join(sorted(known))}",
+                f"one of {camera}",
+                "change its name",
             )
     frame_offset = {compose_name(camera): n for camera, n in options.frame_offset.items()}
     crop_offset = {compose_name(camera): xy for camera, xy in options.crop_offset.items()}
     for camera in (*frame_offset, *crop_offset):
         if camera not in known:
             raise MismatchError(
-                f"expected offsets of the cameras {', '.join(sorted(known))}, "
-                f"found one of {camera}; change its name"
+                "",
+                f"offsets of the cameras {', '.join(sorted(known))}",
+                f"one of {camera}",
+                "change its name",
             )
     return tuple(
         _apply_offset(
@@ -125,7 +135,9 @@ def _apply_offset(view: Keypoints2D, *, frames: int, pixels: tuple[float, float]
     last = int(view.frames[-1]) + frames
     if first < 0 or last >= LARGEST_FRAME:
         raise MismatchError(
-            f"{view.source}: expected frame numbers from 0 on, "
-            f"found {first} after the offset; change --frame-offset"
+            view.source,
+            "frame numbers from 0 on",
+            f"{first} after the offset",
+            f"change {argument('frame_offset')}",
         )
     return replace(view, frames=view.frames + frames, positions=view.positions + np.array(pixels))

@@ -7,7 +7,7 @@ which all cameras share; older files call the columns `port` and `point_id` inst
 
 import numpy as np
 
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError, argument
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.long_table import Points, views_from_points
 from mocap_calib.io.keypoints.table_cells import Cells, read_cells
@@ -47,7 +47,7 @@ def _find_columns(item: Item) -> tuple[str, str]:
     camera = next((name for name in ("cam_id", "port") if name in header), None)
     keypoint = next((name for name in ("keypoint_id", "point_id") if name in header), None)
     if camera is None or keypoint is None:
-        raise malformed(
+        raise FormatError(
             item.origin.source,
             "the columns cam_id (or port) and keypoint_id (or point_id)",
             ",".join(header),
@@ -63,10 +63,10 @@ def _name_keypoints(
     names = {str(number): name for number, name in enumerate(layout)}
     for row, number in enumerate(numbers):
         if number not in names:
-            raise malformed(
+            raise FormatError(
                 cells.place(row),
                 f"a number of a keypoint below {len(names)}, as many as the layout has",
                 number,
-                "give --layout with more names, or leave it out",
+                f"give {argument('layout')} with more names, or leave it out",
             )
     return tuple(names[number] for number in numbers)

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.file import (
     Origin,
     blank,
     make_view,
-    malformed,
     unique_names,
     visibility_as_confidence,
 )
@@ -43,7 +43,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     images = _entries(data, "images", source)
     annotations = _entries(data, "annotations", source)
     if not images:
-        raise malformed(
+        raise FormatError(
             source,
             "at least one entry in `images`",
             "none",
@@ -91,7 +91,7 @@ def _check_lists(data: Any, source: str) -> Entry:
     found = f"a {type(data).__name__}"
     if isinstance(data, dict):
         found = f"an object with {', '.join(map(str, list(data)[:6])) or 'nothing'}"
-    raise malformed(
+    raise FormatError(
         source,
         _EXPECTED,
         found,
@@ -103,7 +103,7 @@ def _entries(data: Entry, key: str, source: str) -> list[Entry]:
     """Return one of the lists. Raises FormatError."""
     found = data[key]
     if not isinstance(found, list) or not all(isinstance(entry, dict) for entry in found):
-        raise malformed(
+        raise FormatError(
             source, f"`{key}` to be a list of objects", type(found).__name__, "export it again"
         )
     return found
@@ -123,7 +123,7 @@ def _keypoints_and_categories(
     ]
     lists = {tuple(map(str, entry["keypoints"])) for entry in named}
     if len(lists) != 1:
-        raise malformed(
+        raise FormatError(
             source,
             "one list of keypoint names in `categories`",
             f"{len(lists)} different lists" if lists else "none",
@@ -141,7 +141,7 @@ def _check_ids(images: list[Entry], annotations: list[Entry], source: str) -> No
     """Raise FormatError where image ids repeat, or annotations are of images that are not there."""
     ids = {str(image.get("id")) for image in images}
     if len(ids) < len(images):
-        raise malformed(
+        raise FormatError(
             source,
             "each image id once",
             f"{len(images)} images with {len(ids)} ids",
@@ -149,7 +149,7 @@ def _check_ids(images: list[Entry], annotations: list[Entry], source: str) -> No
         )
     for annotation in annotations:
         if str(annotation.get("image_id")) not in ids:
-            raise malformed(
+            raise FormatError(
                 source,
                 "each annotation's image_id among `images`",
                 annotation.get("image_id"),
@@ -186,7 +186,7 @@ def _points(annotations: list[Entry], keypoints: int, source: str) -> Floats:
         points = np.array([lists[k] for k in full], dtype=np.float64)
         values[full] = points.reshape(-1, keypoints, 3)
     except (ValueError, TypeError, OverflowError) as error:
-        raise malformed(source, "`keypoints` to hold numbers", error, "export it again") from None
+        raise FormatError(source, "`keypoints` to hold numbers", error, "export it again") from None
     return values
 
 
@@ -195,7 +195,7 @@ def _check_length(numbers: Any, keypoints: int, source: str) -> None:
     if isinstance(numbers, list) and len(numbers) in (0, 3 * keypoints):
         return
     is_list = isinstance(numbers, list)
-    raise malformed(
+    raise FormatError(
         source,
         f"{3 * keypoints} numbers (x, y, v) per annotation for {keypoints} names",
         f"{len(numbers)} numbers" if is_list else type(numbers).__name__,

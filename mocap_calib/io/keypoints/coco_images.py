@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import frame_number, malformed
+from mocap_calib.errors import FormatError, argument
+from mocap_calib.io.file import frame_number
 from mocap_calib.io.keypoints.document import Item, ReadOptions
 from mocap_calib.io.keypoints.per_frame import cameras_by_pattern
 from mocap_calib.types import Ints
@@ -76,11 +77,11 @@ def _cameras_by_folder(images: list[Entry], item: Item) -> list[str]:
             if len(set(zip(part, numbers, strict=True))) == len(names):
                 return part
     other = next(name for name, folder in zip(names, folders, strict=True) if folder != folders[0])
-    raise malformed(
+    raise FormatError(
         item.origin.source,
         "folders that tell the cameras",
         f"{names[0]} and {other}",
-        "say which part is the camera with --camera-regex",
+        f"say which part is the camera with {argument('camera_regex')}",
     )
 
 
@@ -126,7 +127,7 @@ def frame_numbers(images: list[Entry], source: str) -> Ints:
     complete = [numbers for numbers in places if min(numbers) >= 0]
     if not complete:
         image = images[places[-1].index(min(places[-1]))]
-        raise malformed(
+        raise FormatError(
             source,
             "a frame number at the end of each file name",
             image.get("file_name", image),
@@ -173,10 +174,10 @@ def image_size(images: list[Entry], source: str) -> tuple[int, int]:
             if image.get("width") and image.get("height")
         }
     except (ValueError, TypeError, OverflowError) as error:
-        raise malformed(
+        raise FormatError(
             source, "width and height of images to be numbers", error, "export it again"
         ) from None
     if len(sizes) > 1:
         found = " and ".join(f"{width} x {height}" for width, height in sorted(sizes)[:2])
-        raise malformed(source, "images of one size", found, "give one file per camera")
+        raise FormatError(source, "images of one size", found, "give one file per camera")
     return sizes.pop() if sizes else (0, 0)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.io.file import NO_SCORE, Origin, check_size, frame_number, make_view, malformed
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import NO_SCORE, Origin, check_size, frame_number, make_view
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
@@ -107,7 +108,7 @@ def _columns_by_label(table: Table, source: str) -> Columns:
     """Return the columns of each body part. Raises FormatError."""
     levels = set(table.levels)
     if not {"bodyparts", "coords"} <= levels or not levels <= set(LEVELS):
-        raise malformed(
+        raise FormatError(
             source,
             f"header rows among {', '.join(LEVELS)}",
             ", ".join(table.levels) or "none",
@@ -120,7 +121,7 @@ def _columns_by_label(table: Table, source: str) -> Columns:
             continue
         coords = columns.setdefault((label.get("individuals", ""), label["bodyparts"]), {})
         if label["coords"] in coords:
-            raise malformed(
+            raise FormatError(
                 source,
                 "each column once",
                 f"{' '.join(labels)} twice",
@@ -135,7 +136,7 @@ def _check_coords(columns: Columns, source: str) -> None:
     """Raise FormatError where body parts have other coordinates than x, y and likelihood."""
     found = sorted({coord for coords in columns.values() for coord in coords})
     if "z" in found:
-        raise malformed(
+        raise FormatError(
             source,
             "2D keypoints (x, y, likelihood)",
             "3D ones (x, y, z)",
@@ -143,7 +144,7 @@ def _check_coords(columns: Columns, source: str) -> None:
         )
     all_have_positions = all({"x", "y"} <= coords.keys() for coords in columns.values())
     if not columns or not all_have_positions or not set(found) <= set(COORDS):
-        raise malformed(
+        raise FormatError(
             source,
             "columns x, y and perhaps likelihood for each body part",
             ", ".join(found) or "none",
@@ -169,12 +170,12 @@ def _are_in_any_order(individuals: list[str]) -> bool:
 def _frame_numbers(rows: Sequence[str], source: str) -> Ints:
     """Return the `[row]` frame numbers. Raises FormatError."""
     if not rows:
-        raise malformed(source, "at least one row of data", "none", _AGAIN)
+        raise FormatError(source, "at least one row of data", "none", _AGAIN)
     if all(row.isascii() and row.isdigit() and len(row) <= _DIGITS for row in rows):
         return np.array([int(row) for row in rows], dtype=np.int64)
     folders = list(dict.fromkeys(row.replace("\\", "/").rpartition("/")[0] for row in rows))
     if len(folders) > 1:
-        raise malformed(
+        raise FormatError(
             source,
             "images of one folder, which is a video",
             f"those of {folders[0]} and {folders[1]}",
@@ -182,7 +183,7 @@ def _frame_numbers(rows: Sequence[str], source: str) -> Ints:
         )
     numbers = [frame_number(row) for row in rows]
     if min(numbers) < 0:
-        raise malformed(
+        raise FormatError(
             source,
             "each row to begin with a frame number or a numbered image",
             rows[numbers.index(min(numbers))],

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, Table, keypoints_from_table
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
@@ -144,7 +144,7 @@ def _rows(document: Document) -> Iterator[tuple[int, list[str]]]:
             if any(row):
                 yield number, row
     except csv.Error as error:
-        raise malformed(
+        raise FormatError(
             document.source, "comma-separated values", error, "export it from DeepLabCut again"
         ) from None
 
@@ -154,7 +154,7 @@ def _columns(header: Header, document: Document) -> _Columns:
     source = document.source
     coords = header.get("coords", [])
     if not any(coords[1:]):
-        raise malformed(
+        raise FormatError(
             source,
             "commas between cells and a header row `coords`",
             document.head.splitlines()[0][:60],
@@ -178,7 +178,7 @@ def _labels(
     rows = [(header[level] + [""] * end)[first:end] for level in levels]
     for level, row in zip(levels, rows, strict=True):
         if level != "scorer" and "" in row:
-            raise malformed(
+            raise FormatError(
                 source,
                 "header rows of one length",
                 "an empty cell among them",
@@ -195,11 +195,11 @@ def _numbers(row: list[str], first: int, end: int, source: str) -> Floats:
     if first < len(row) < end and not any(row[first:]):
         return np.full(end - first, np.nan)
     if len(row) < end:
-        raise malformed(
+        raise FormatError(
             source, f"{end} cells", len(row), "the file is cut or damaged: export it again"
         )
     if any(row[end:]):
-        raise malformed(
+        raise FormatError(
             source,
             f"{end} cells, as many as the header has",
             len(row),
@@ -208,6 +208,6 @@ def _numbers(row: list[str], first: int, end: int, source: str) -> Floats:
     try:
         return np.array([float(cell) if cell else np.nan for cell in row[first:end]])
     except ValueError as error:
-        raise malformed(
+        raise FormatError(
             source, "numbers with a decimal point", error, "write numbers like 12.5"
         ) from None

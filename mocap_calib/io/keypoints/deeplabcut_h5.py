@@ -14,7 +14,7 @@ from typing import Any, Never
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError
 from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters, text
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, LEVELS_OF_ONE, Table, keypoints_from_table
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
@@ -52,21 +52,21 @@ def _read_table(file: Any, source: str) -> Table:
         return _from_table_layout(group, source)
     if kind == "frame":
         return _from_fixed_layout(group)
-    raise malformed(source, "a pandas DataFrame", f"a {kind}", _CSV_INSTEAD)
+    raise FormatError(source, "a pandas DataFrame", f"a {kind}", _CSV_INSTEAD)
 
 
 def _only_pandas_group(file: Any, source: str) -> Any:
     """Return the group of the one pandas table. Raises FormatError."""
     keys = [key for key, item in file.items() if "pandas_type" in item.attrs]
     if not keys:
-        raise malformed(
+        raise FormatError(
             source,
             "a pandas table as DeepLabCut writes it",
             f"HDF5 with {', '.join(map(str, file)) or 'nothing'}",
             "export DeepLabCut .csv or COCO",
         )
     if len(keys) > 1:
-        raise malformed(
+        raise FormatError(
             source,
             "one pandas table",
             f"{len(keys)}: {', '.join(keys)}",
@@ -81,11 +81,11 @@ def _only_pandas_group(file: Any, source: str) -> Any:
 def _from_table_layout(group: Any, source: str) -> Table:
     """Return the table of a group in the `table` layout. Raises FormatError."""
     if "table" not in group:
-        raise malformed(source, "a table", "an aborted write without one", _CSV_INSTEAD)
+        raise FormatError(source, "a table", "an aborted write without one", _CSV_INSTEAD)
     dataset = group["table"]
     blocks = sorted(name for name in dataset.dtype.names if name.startswith("values_block_"))
     if "index" not in dataset.dtype.names or not blocks:
-        raise malformed(
+        raise FormatError(
             source,
             "the columns index and values_block_0",
             ", ".join(dataset.dtype.names),
@@ -195,13 +195,13 @@ def _load_plain(content: bytes) -> Any:
 def _unpickle(content: Any, source: str) -> Any:
     """Return the labels in a pickle. Raises FormatError."""
     if not isinstance(content, bytes):
-        raise malformed(
+        raise FormatError(
             source, "column labels as pandas stores them", type(content).__name__, _CSV_INSTEAD
         )
     try:
         return _load_plain(content)
     except Exception as error:  # a damaged pickle can raise anything
-        raise malformed(source, "column labels", error, _DISTRUST) from None
+        raise FormatError(source, "column labels", error, _DISTRUST) from None
 
 
 def _check_pickles(group: Any, source: str) -> None:
@@ -220,11 +220,8 @@ def _check_pickles(group: Any, source: str) -> None:
         for name, value in item.attrs.items():
             _check_attribute(name, value, source)
         if text(item.attrs.get("PSEUDOATOM", "")) == "object":
-            raise malformed(
-                source,
-                "arrays of text and numbers",
-                f"pickled objects in `{item.name}`",
-                _DISTRUST,
+            raise FormatError(
+                source, "arrays of text and numbers", f"pickled objects in `{item.name}`", _DISTRUST
             )
 
 
@@ -236,6 +233,6 @@ def _check_attribute(name: str, value: Any, source: str) -> None:
     try:
         _load_plain(value)
     except _CallError as error:
-        raise malformed(source, f"plain labels in `{name}`", error, _DISTRUST) from None
+        raise FormatError(source, f"plain labels in `{name}`", error, _DISTRUST) from None
     except Exception:
         return  # a damaged pickle, or none: nothing that anybody runs

@@ -18,8 +18,9 @@ from typing import Any, BinaryIO
 import h5py
 import msgspec
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.crash_guard import HDF5
-from mocap_calib.io.file import Origin, decode, is_utf16, malformed, opened, read_bytes
+from mocap_calib.io.file import Origin, decode, is_utf16, opened, read_bytes
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.recording.names import compose_name
 
@@ -184,11 +185,13 @@ class Document:
         try:  # which also reads NaN and Infinity, and says what is wrong
             return json.loads(self.text)
         except RecursionError:
-            raise malformed(
+            raise FormatError(
                 self.source, "JSON of keypoints", "JSON nested too deeply", "export it again"
             ) from None
         except ValueError as error:
-            raise malformed(self.source, "complete JSON", f"an error ({error})", _DAMAGED) from None
+            raise FormatError(
+                self.source, "complete JSON", f"an error ({error})", _DAMAGED
+            ) from None
 
     @cached_property
     def header(self) -> tuple[str, ...]:
@@ -208,7 +211,7 @@ class Document:
             start, is_all = self._read
             return h5py.File(io.BytesIO(start) if is_all else self.path, "r", locking=False)
         except HDF5_DAMAGE as error:
-            raise malformed(
+            raise FormatError(
                 self.source, "a whole HDF5 file", f"an error ({error})", _DAMAGED
             ) from None
 

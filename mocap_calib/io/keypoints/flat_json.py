@@ -9,10 +9,10 @@ import re
 
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.file import (
     Origin,
     make_view,
-    malformed,
     stack_detections,
     visibility_as_confidence,
 )
@@ -74,7 +74,7 @@ def _read(
     ]
     count = max(map(len, points))
     if count == 0:
-        raise malformed(
+        raise FormatError(
             source, "numbers in one of its `keypoints`", "none", "export the keypoints too"
         )
     names = choose_layout(count, given=options.layout, source=source, unambiguous=unambiguous)
@@ -92,7 +92,7 @@ def _images(item: Item) -> list[str]:
     images = []
     for k, entry in enumerate(item.document.json):
         if not isinstance(entry, dict) or not isinstance(entry.get("image_id"), str | int):
-            raise malformed(
+            raise FormatError(
                 f"{item.origin.source}: entry {k}",
                 "an object with image_id and keypoints",
                 entry,

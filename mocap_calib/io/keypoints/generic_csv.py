@@ -9,7 +9,7 @@ import re
 
 import numpy as np
 
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.long_table import Points, views_from_points
 from mocap_calib.io.keypoints.table_cells import Cells, read_cells
@@ -55,12 +55,12 @@ def _check_header(item: Item) -> None:
     """Raise FormatError for another separator, and for columns that are not known or missing."""
     header, source = item.document.header, item.origin.source
     if tuple(_header_cells(item.document)) != header:
-        raise malformed(
+        raise FormatError(
             source, "commas between cells and points in numbers", header[0], "export it so"
         )
     names = set(header)
     if not _NEEDED <= names <= set(_KNOWN) or {"individual", "instance"} <= names:
-        raise malformed(
+        raise FormatError(
             source,
             f"the columns {','.join(_KNOWN)} "
             "(individual or instance; camera, they and score may be absent)",
@@ -75,7 +75,7 @@ def _cameras(cells: Cells, item: Item) -> tuple[str, ...]:
         return (item.camera,) * len(cells)
     cameras = cells.columns["camera"]
     if not all(cameras):
-        raise malformed(
+        raise FormatError(
             cells.place(cameras.index("")),
             "the camera's name",
             "an empty cell",

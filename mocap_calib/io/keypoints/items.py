@@ -55,14 +55,14 @@ def _items_of_argument(argument: str, options: ReadOptions, format: str | None) 
     if not equals or Path(argument).exists():
         return _items_of_path(Path(argument), options, format)
     if not name or not rest:
-        raise MismatchError(
-            f"expected name=path, found {argument}; say which camera the file is of"
-        )
+        raise MismatchError("", "name=path", argument, "say which camera the file is of")
     items = _items_of_argument(rest, options, format)
     if len(items) != 1:
         raise MismatchError(
-            f"{rest}: expected the keypoints of the one camera {name}, "
-            f"found {len(items)} files; name each of them"
+            rest,
+            f"the keypoints of the one camera {name}",
+            f"{len(items)} files",
+            "name each of them",
         )
     return [replace(items[0], camera=name, named=True)]
 
@@ -77,8 +77,10 @@ def _items_of_path(path: Path, options: ReadOptions, format: str | None) -> list
     if not items:
         check_no_media_alone(path, SUFFIXES)
         raise MismatchError(
-            f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; "
-            "name the files themselves"
+            path,
+            f"keypoint files ({', '.join(SUFFIXES)}) in the folder",
+            "none",
+            "name the files themselves",
         )
     if not options.camera_pattern:
         return items

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import NO_SCORE, Origin, blank, make_view, malformed
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import NO_SCORE, Origin, blank, make_view
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.mat5 import DAMAGE, read_mat
@@ -43,10 +44,10 @@ def _read_variables(item: Item) -> tuple[list[str], list[Any]]:
         variables = read_mat(item.document.content, _VARIABLES)
     except DAMAGE as error:
         found = f"an error ({error or type(error).__name__})"
-        raise malformed(source, "a whole MATLAB file", found, _REMEDY) from None
+        raise FormatError(source, "a whole MATLAB file", found, _REMEDY) from None
     missing = set(_VARIABLES) - variables.keys()
     if missing:
-        raise malformed(
+        raise FormatError(
             source,
             "the variables camnames and labelData",
             f"no {' and no '.join(sorted(missing))}",
@@ -54,7 +55,7 @@ def _read_variables(item: Item) -> tuple[list[str], list[Any]]:
         )
     cameras, labels = variables["camnames"], variables["labelData"]
     if not _are_cells_of_cameras(cameras, labels):
-        raise malformed(
+        raise FormatError(
             source, "cells camnames and labelData, one for each camera", "others", _REMEDY
         )
     return cameras, labels
@@ -89,9 +90,9 @@ def _frames_and_positions(label: Any, source: str) -> tuple[Ints, Floats]:
             frames = np.asarray(label[0]["data_frame"]).reshape(-1).astype(np.int64)
         positions = points.reshape(len(frames), -1, 2)
     except (ValueError, IndexError, TypeError, OverflowError, KeyError) as error:
-        raise malformed(
+        raise FormatError(
             source, "data_2d [frame, 2 x keypoint] and data_frame", f"an error ({error})", _REMEDY
         ) from None
     if not len(frames) or not positions.shape[1] or frames.min() < 0:
-        raise malformed(source, "labelled frames", "none", "label some first")
+        raise FormatError(source, "labelled frames", "none", "label some first")
     return frames, positions

@@ -1,7 +1,6 @@
 """Name keypoints in the order in which programs write them, for files that hold numbers alone."""
 
-from mocap_calib.errors import MismatchError, one_line, suggest
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError, MismatchError, argument, one_line, suggest
 
 _COCO = (
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow "
@@ -77,8 +76,10 @@ def parse_layout(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(","))
     if len(names) < 2 or not all(names):
         raise MismatchError(
-            f"expected a layout ({', '.join(LAYOUTS)}) or names of keypoints separated by commas, "
-            f"found {one_line(text, 200)}; {suggest(text, LAYOUTS)}"
+            "",
+            f"a layout ({', '.join(LAYOUTS)}) or names of keypoints separated by commas",
+            one_line(text, 200),
+            suggest(text, LAYOUTS),
         )
     return names
 
@@ -102,7 +103,7 @@ def choose_layout(
     if len(fitting) == 1:
         return LAYOUTS[fitting[0]]
     of_this_length = [name for name, names in LAYOUTS.items() if len(names) == count]
-    raise malformed(
+    raise FormatError(
         source,
         f"the names of its {count} keypoints",
         "numbers alone",
@@ -113,15 +114,15 @@ def choose_layout(
 def layout_remedy(names: list[str]) -> str:
     """Return what to do about a file that needs one of these layouts, or names of its own."""
     if names:
-        return f"say --layout {' or '.join(names)}"
-    return "say --layout with names separated by commas"
+        return f"give {argument('layout')} ({' or '.join(names)})"
+    return f"give {argument('layout')} with names separated by commas"
 
 
 def _check_count(count: int, given: tuple[str, ...], source: str) -> None:
     if len(given) != count:
-        raise malformed(
+        raise FormatError(
             source,
             f"{len(given)} keypoints, as many as the layout has",
             count,
-            "give --layout with as many names as the file has keypoints",
+            f"give {argument('layout')} with as many names as the file has keypoints",
         )

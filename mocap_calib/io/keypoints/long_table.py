@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.file import (
     Origin,
     blank,
@@ -15,7 +16,6 @@ from mocap_calib.io.file import (
     fill_missing_scores,
     frame_number,
     make_view,
-    malformed,
     unique_names,
 )
 from mocap_calib.io.keypoints.document import Item
@@ -148,7 +148,7 @@ def _frame_numbers(texts: list[str], source: str) -> Ints:
     """Return the `[text]` frame number of each text. Raises FormatError."""
     numbers = np.array([frame_number(text) for text in texts], dtype=np.int64)
     if (numbers < 0).any():
-        raise malformed(
+        raise FormatError(
             source,
             "a frame number in each row",
             repr(texts[int(np.argmin(numbers))]),
@@ -170,7 +170,7 @@ def _instances(names: list[str], *, tracked: bool, source: str) -> Ints:
             return np.unique(numbers, return_inverse=True)[1]
         return np.arange(len(names))
     if (numbers < 0).any():
-        raise malformed(
+        raise FormatError(
             source,
             "whole numbers in the column instance",
             repr(names[int(np.argmin(numbers))]),
@@ -215,7 +215,7 @@ def _check_each_point_once(
     twice = np.flatnonzero(place == places[counts > 1][0])
     first = twice[0]
     rows = ", ".join(map(str, lines[twice][:3]))
-    raise malformed(
+    raise FormatError(
         source,
         "each point once",
         f"frame {frames[frame[first]]}, individual {instance[first]}, "

@@ -74,6 +74,8 @@ def require_followed(view: Keypoints2D, program: str) -> None:
     """
     if not view.tracked and view.positions.shape[1] > 1:
         raise MismatchError(
-            f"{view.source}: expected one individual or followed ones, as {program} has, "
-            "found detections in any order; choose csv or coco"
+            view.source,
+            f"one individual or followed ones, as {program} has",
+            "detections in any order",
+            "choose csv or coco",
         )

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import LARGEST_FRAME, make_view, malformed, stack_detections
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import LARGEST_FRAME, make_view, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.per_frame import (
@@ -85,7 +86,7 @@ def _frame_id(entry: Any, source: str) -> int:
     """Return the number of a frame. Raises FormatError."""
     number = entry.get("frame_id") if isinstance(entry, dict) else None
     if type(number) is not int or not 0 <= number < LARGEST_FRAME:
-        raise malformed(source, "frame_id to be a whole number", entry, _DAMAGED)
+        raise FormatError(source, "frame_id to be a whole number", entry, _DAMAGED)
     return number
 
 
@@ -99,7 +100,7 @@ def _names_in_file(content: Any, source: str) -> tuple[str, ...]:
     if names is None:
         return ()
     if not isinstance(names, dict) or sorted(names) != sorted(map(str, range(len(names)))):
-        raise malformed(
+        raise FormatError(
             source, "keypoint_id2name to number the keypoints from 0", names, "export it again"
         )
     return tuple(str(names[str(k)]) for k in range(len(names)))
@@ -108,7 +109,7 @@ def _names_in_file(content: Any, source: str) -> tuple[str, ...]:
 def _instances(entries: Any, source: str) -> list[Floats]:
     """Return `[keypoint, 3]` of each instance of a frame. Raises FormatError."""
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise malformed(source, "a list of instances", type(entries).__name__, _DAMAGED)
+        raise FormatError(source, "a list of instances", type(entries).__name__, _DAMAGED)
     return [_points(entry, f"{source}: instance {k}") for k, entry in enumerate(entries)]
 
 
@@ -118,7 +119,7 @@ def _points(entry: dict[str, Any], source: str) -> Floats:
     scores = numbers_of(entry.get("keypoint_scores"), source, named="keypoint_scores")
     is_2d = positions.ndim == 2 and positions.shape[1] == 2
     if not is_2d or scores.shape != positions.shape[:1]:
-        raise malformed(
+        raise FormatError(
             source,
             "`keypoints` [keypoint, 2] and as many keypoint_scores",
             f"{list(positions.shape)} with {list(scores.shape)} scores",

@@ -13,12 +13,12 @@ import h5netcdf
 import h5py
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.file import (
     LARGEST_EXACT_FLOAT,
     blank,
     fill_missing_scores,
     make_view,
-    malformed,
 )
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
@@ -44,7 +44,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         frames = _frame_numbers(file, source)
         times, _, points = values.shape[:3]
         if (len(frames), len(keypoints)) != (times, points):
-            raise malformed(
+            raise FormatError(
                 source,
                 f"{times} times and {points} keypoints",
                 f"{len(frames)} and {len(keypoints)}",
@@ -59,7 +59,7 @@ def _values(file: Any, source: str) -> Floats:
     positions = read_variable(file, "position", _OUR_AXES, source)
     space = names(file, "space", source)
     if space != ("x", "y"):
-        raise malformed(
+        raise FormatError(
             source, "2D positions (x, y)", ", ".join(space), "give the 2D poses of each camera"
         )
     frames, individuals, keypoints = positions.shape[:3]
@@ -80,7 +80,7 @@ def read_variable(file: Any, name: str, axes: tuple[str, ...], source: str) -> F
     usual = tuple(axis for axis in _MOVEMENT_AXES if axis in axes)
     found = _axes_by_number(file, name) or _axes_by_reference(file, name) or usual
     if sorted(found) != sorted(axes) or not _fit_coordinates(file, found, values.shape):
-        raise malformed(
+        raise FormatError(
             source,
             f"`{name}` over {', '.join(usual)}, as long as their coordinates",
             f"{', '.join(found)} of shape {values.shape}",
@@ -130,7 +130,7 @@ def _frame_numbers(file: Any, source: str) -> Ints:
     if text(file.attrs.get("time_unit", "frames")) == "seconds":
         times = times * _frames_per_second(file, source)
     if not _are_whole_frames(times):
-        raise malformed(
+        raise FormatError(
             source, "times that are whole frames", "others", "save it with time_unit frames"
         )
     return np.rint(times).astype(np.int64)
@@ -139,7 +139,9 @@ def _frame_numbers(file: Any, source: str) -> Ints:
 def _frames_per_second(file: Any, source: str) -> float:
     rate = float(np.asarray(file.attrs.get("fps", np.nan)).reshape(-1)[0])
     if not rate > 0:
-        raise malformed(source, "frames per second (`fps`) beside times in seconds", rate, _REMEDY)
+        raise FormatError(
+            source, "frames per second (`fps`) beside times in seconds", rate, _REMEDY
+        )
     return rate
 
 

@@ -10,13 +10,13 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.file import (
     LARGEST_EXACT_FLOAT,
     Origin,
     blank,
     fill_missing_scores,
     make_view,
-    malformed,
 )
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
@@ -44,7 +44,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     with damage_refused(source, "a whole NWB file", _REMEDY):
         groups = _groups_of_type(file, "PoseEstimation")
         if not groups:
-            raise malformed(source, "a PoseEstimation of ndx-pose", "none", "give another file")
+            raise FormatError(source, "a PoseEstimation of ndx-pose", "none", "give another file")
         if len(groups) == 1:
             return (_view(groups[0], item.origin),)
         return tuple(_view(group, Origin(_name(group), source)) for group in groups)
@@ -88,7 +88,7 @@ def _view(group: Any, origin: Origin) -> Keypoints2D:
     values = _values(series_of, source)
     frames, rate = frame_numbers_and_rate(next(iter(series_of.values())), source)
     if len(frames) != len(values):
-        raise malformed(source, f"a time for each of {len(values)} frames", len(frames), _REMEDY)
+        raise FormatError(source, f"a time for each of {len(values)} frames", len(frames), _REMEDY)
     values, remarks = fill_missing_scores(values)
     counted = f"NWB has times, not frame numbers: a frame is the time x {rate:g} per second"
     return make_view(
@@ -106,7 +106,7 @@ def _check_one_video(group: Any, source: str) -> None:
     """Raise FormatError where the poses are of several videos."""
     videos = names(group, "original_videos", source) if "original_videos" in group else ()
     if len(videos) > 1:
-        raise malformed(
+        raise FormatError(
             source,
             "the poses of one camera",
             f"one series for {', '.join(videos)}",
@@ -122,9 +122,9 @@ def _values(series_of: dict[str, Any], source: str) -> Floats:
     positions = [array(series, "data", source).astype(np.float64) for series in series_of.values()]
     shapes = sorted({each.shape for each in positions})
     if any(len(shape) == 2 and shape[1] == 3 for shape in shapes):
-        raise malformed(source, "2D series (x, y)", "3D ones", "give the 2D poses of each camera")
+        raise FormatError(source, "2D series (x, y)", "3D ones", "give the 2D poses of each camera")
     if len(shapes) != 1 or len(shapes[0]) != 2 or shapes[0][1] != 2:
-        raise malformed(source, "series of one length with x and y", shapes, _REMEDY)
+        raise FormatError(source, "series of one length with x and y", shapes, _REMEDY)
     values = blank(shapes[0][0], 1, len(positions), source)
     for keypoint, series in enumerate(series_of.values()):
         values[:, 0, keypoint, :2] = positions[keypoint]
@@ -153,7 +153,7 @@ def frame_numbers_and_rate(series: Any, source: str) -> tuple[Ints, float]:
     first = np.rint(start * rate)
     in_range = abs(first) < LARGEST_EXACT_FLOAT and steps.sum() < LARGEST_EXACT_FLOAT
     if not (rate > 0 and in_range and (steps >= 1).all()):
-        raise malformed(source, "times that increase", "others", _REMEDY)
+        raise FormatError(source, "times that increase", "others", _REMEDY)
     counted = np.concatenate([[0], np.cumsum(steps)])[:length]
     return int(first) + counted.astype(np.int64), rate
 

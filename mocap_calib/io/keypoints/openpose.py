@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import make_view, malformed, stack_detections
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.file import make_view, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.per_frame import frame_numbers, frames_of, json_frames, triples
@@ -65,7 +65,7 @@ def _people(frame: Any, source: str) -> list[Any]:
     Raises FormatError.
     """
     if not _is_frame(frame):
-        raise malformed(
+        raise FormatError(
             source,
             "an object with a list `people`",
             type(frame).__name__,
@@ -85,7 +85,7 @@ def _count_keypoints(people: list[list[Any]], source: str) -> int:
         for points in people_of_frame:
             if len(points):
                 return len(points)
-    raise malformed(
+    raise FormatError(
         source,
         "people in one of its frames",
         f"none in {len(people)} frames",
@@ -112,8 +112,10 @@ def _check_frame_numbers(view: Keypoints2D) -> None:
     """Raise MismatchError where a frame number has more digits than file names have."""
     if view.frames.max(initial=0) >= 10**_DIGITS:
         raise MismatchError(
-            f"{view.source}: expected frame numbers of at most {_DIGITS} digits, "
-            f"found {view.frames.max()}; choose another format"
+            view.source,
+            f"frame numbers of at most {_DIGITS} digits",
+            view.frames.max(),
+            "choose another format",
         )
 
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import find_camera, frame_number, malformed
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import find_camera, frame_number
 from mocap_calib.io.keypoints.document import Item, describe
 from mocap_calib.types import Floats
 
@@ -30,7 +31,7 @@ def json_frames(item: Item) -> Iterator[tuple[Any, str]]:
     """
     for document in item.documents():
         if document.json is None:
-            raise malformed(
+            raise FormatError(
                 document.source,
                 "JSON of a frame",
                 describe(document)[0],
@@ -49,7 +50,7 @@ def frame_numbers(names: Sequence[str], source: str) -> list[int]:
     if min(numbers, default=0) < 0:
         numbers = [_last_integer(stem) for stem in stems]
     if min(numbers, default=0) < 0:
-        raise malformed(
+        raise FormatError(
             source,
             "a frame number in each file name",
             stems[numbers.index(min(numbers))],
@@ -79,7 +80,7 @@ def cameras_by_pattern(names: Sequence[str], pattern: str, *, named: str, source
     if not any(cameras):
         return []
     if not all(cameras):
-        raise malformed(
+        raise FormatError(
             source,
             f"a camera in each {named} by the pattern {pattern}",
             names[cameras.index("")],
@@ -95,7 +96,7 @@ def most_keypoints(detections: Sequence[Sequence[Floats]], *, named: str, source
     """
     count = max((len(points) for frame in detections for points in frame), default=0)
     if count == 0:
-        raise malformed(
+        raise FormatError(
             source,
             f"{named} in one of its frames",
             f"none in {len(detections)} frames",
@@ -111,7 +112,7 @@ def triples(points: Any, source: str, *, named: str = "keypoints") -> Floats:
     """
     if not isinstance(points, list) or len(points) % 3:
         found = f"{len(points)} numbers" if isinstance(points, list) else type(points).__name__
-        raise malformed(source, f"`{named}` to be a list of x, y, c", found, "export it again")
+        raise FormatError(source, f"`{named}` to be a list of x, y, c", found, "export it again")
     return numbers_of(points, source, named=named).reshape(-1, 3)
 
 
@@ -120,7 +121,7 @@ def numbers_of(values: Any, source: str, *, named: str) -> Floats:
     try:
         return np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
-        raise malformed(source, f"`{named}` to hold numbers", error, "export it again") from None
+        raise FormatError(source, f"`{named}` to hold numbers", error, "export it again") from None
 
 
 def is_list_of(entries: Any, *keys: str) -> bool:

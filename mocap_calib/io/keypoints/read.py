@@ -9,9 +9,9 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.errors import MismatchError, MocapCalibError
+from mocap_calib.errors import FormatError, MismatchError, MocapCalibError, argument
 from mocap_calib.io.crash_guard import end_calls, guard_hdf5
-from mocap_calib.io.file import check_cameras, malformed
+from mocap_calib.io.file import check_cameras
 from mocap_calib.io.keypoints.adjust import apply_offsets, convert_to_pixels, split_views
 from mocap_calib.io.keypoints.document import Item, ReadOptions
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
@@ -92,8 +92,10 @@ def _check_cameras_once(found: list[tuple[str, str]]) -> None:
         return
     files = " and ".join(source for camera, source in found if camera == twice)
     raise MismatchError(
-        f"expected one keypoint file per camera, found {files} for camera {twice}; "
-        "leave one out, or say name=path"
+        "",
+        "one keypoint file per camera",
+        f"{files} for camera {twice}",
+        "leave one out, or say name=path",
     )
 
 
@@ -140,11 +142,11 @@ def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoin
     check_cameras([view.camera for view in views], str(item.path))
     views = _name_camera(views, item)
     if not all(view.camera for view in views):
-        raise malformed(
+        raise FormatError(
             str(item.path),
             f"a camera in the path by the pattern {options.camera_pattern}",
             "none",
-            "change --camera-regex",
+            f"change {argument('camera_regex')}",
         )
     read = []
     for view in views:
@@ -165,8 +167,7 @@ def _name_camera(views: tuple[Keypoints2D, ...], item: Item) -> tuple[Keypoints2
     if len(views) > 1:
         cameras = ", ".join(view.camera for view in views)
         raise MismatchError(
-            f"{item.path}: expected the one camera {item.camera}, found {cameras}; "
-            "give the file without a name"
+            item.path, f"the one camera {item.camera}", cameras, "give the file without a name"
         )
     return (replace(views[0], camera=item.camera),)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.long_table import Points, views_from_points
 from mocap_calib.io.keypoints.table_cells import Cells, read_cells
@@ -45,7 +45,7 @@ def _find_nodes(item: Item) -> list[str]:
     header = item.document.header
     nodes = [name.removesuffix(".x") for name in header if name.endswith(".x")]
     if not nodes or not all(f"{node}.y" in header for node in nodes):
-        raise malformed(
+        raise FormatError(
             item.origin.source,
             "columns <node>.x and <node>.y",
             ",".join(header),

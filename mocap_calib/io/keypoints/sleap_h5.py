@@ -14,8 +14,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import blank, fill_missing_scores, make_view, malformed
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.file import blank, fill_missing_scores, make_view
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
@@ -64,7 +64,7 @@ def _values(file: Any, nodes: int, individuals: int, source: str) -> Floats:
         score_shape=scores.shape,
     )
     if len(fitting) != 1:
-        raise malformed(
+        raise FormatError(
             source,
             f"`tracks` of shape (tracks, 2, {nodes} nodes, frames)",
             f"{tracks.shape}, which fits {len(fitting)} orders of axes",
@@ -139,7 +139,7 @@ def _scores(scores: Any, axes: Axes, shape: tuple[int, ...], source: str) -> Flo
     if scores.ndim == 3:
         scores = scores.transpose([sorted(axes[:3]).index(axis) for axis in axes[:3]])
     if scores.shape != shape:
-        raise malformed(
+        raise FormatError(
             source, f"`point_scores` of shape {shape} (frame, track, node)", scores.shape, _REMEDY
         )
     return np.asarray(scores, dtype=np.float64)
@@ -192,8 +192,10 @@ def _values_from_frame_0(view: Keypoints2D) -> Floats:
     frames = int(view.frames.max(initial=-1)) + 1
     if frames > _EMPTY_PER_FRAME * len(view.frames) + _EMPTY_AT_LEAST:
         raise MismatchError(
-            f"{view.source}: expected frame numbers near 0, which SLEAP counts from, "
-            f"found {view.frames[0]}-{frames - 1}; choose another format"
+            view.source,
+            "frame numbers near 0, which SLEAP counts from",
+            f"{view.frames[0]}-{frames - 1}",
+            "choose another format",
         )
     values = np.full((frames, *view.confidence.shape[1:], 3), np.nan)
     values[view.frames] = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)

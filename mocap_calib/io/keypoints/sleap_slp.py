@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.errors import FormatError, argument
 from mocap_calib.io.file import (
     Origin,
     blank,
     fill_missing_scores,
     find_camera,
     make_view,
-    malformed,
 )
 from mocap_calib.io.hdf5 import array, damage_refused, keys, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
@@ -90,11 +90,11 @@ def _nodes(file: Any, source: str) -> tuple[str, ...]:
         metadata = json.loads(text(file["metadata"].attrs["json"]))
         skeletons = metadata["skeletons"]
         if len(skeletons) != 1:
-            raise malformed(source, "one skeleton", len(skeletons), _REMEDY)
+            raise FormatError(source, "one skeleton", len(skeletons), _REMEDY)
         graph = skeletons[0].get("nx_graph", skeletons[0])
         return tuple(str(metadata["nodes"][node["id"]]["name"]) for node in graph["nodes"])
     except RecursionError:
-        raise malformed(
+        raise FormatError(
             source, "a skeleton as SLEAP writes it", "JSON nested too deeply", _REMEDY
         ) from None
 
@@ -121,7 +121,7 @@ def _cameras(file: Any, videos: list[int], item: Item, options: ReadOptions) -> 
     """Return video -> camera. Raises FormatError where names do not tell several videos apart."""
     source, pattern = item.origin.source, options.camera_pattern
     if not videos:
-        raise malformed(source, "labelled frames", "none", "label or predict first")
+        raise FormatError(source, "labelled frames", "none", "label or predict first")
     if len(videos) == 1 and not pattern:
         return {videos[0]: item.camera}
     paths = _video_paths(file, videos, source)
@@ -145,8 +145,8 @@ def _check_cameras(cameras: dict[int, str], paths: dict[int, str], source: str) 
     known_paths = [path for path in paths.values() if path]
     remedy = "export an analysis .h5 of each video, which are named as the cameras"
     if known_paths:
-        remedy = "say --camera-regex"
-    raise malformed(
+        remedy = f"say {argument('camera_regex')}"
+    raise FormatError(
         source,
         "a camera's name in the path of each video",
         ", ".join(known_paths) or "none",
@@ -213,7 +213,7 @@ def _view(tables: _Tables, video: int, origin: Origin) -> Keypoints2D:
     for values_of_frame, rows in zip(values, instances, strict=True):
         places = [tracks.index(int(row["track"])) for row in rows] if tracked else range(len(rows))
         if len(set(places)) < len(rows):
-            raise malformed(
+            raise FormatError(
                 source, "each track once in a frame", "one twice", "mend the tracks in SLEAP"
             )
         for place, row in zip(places, rows, strict=True):
@@ -238,7 +238,7 @@ def _instances_of_frame(frame: Any, tables: _Tables, source: str) -> Any:
     rows = tables.instances[start:end]
     nodes = len(tables.nodes)
     if (rows["point_id_end"] - rows["point_id_start"] != nodes).any():
-        raise malformed(source, f"{nodes} points in each instance", "another number", _REMEDY)
+        raise FormatError(source, f"{nodes} points in each instance", "another number", _REMEDY)
     is_by_hand = rows["instance_type"] == _USER
     return rows[is_by_hand | ~_are_corrected(rows, rows[is_by_hand], start)]
 

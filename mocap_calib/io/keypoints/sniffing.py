@@ -4,7 +4,6 @@ from dataclasses import replace
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.crash_guard import guard_hdf5
-from mocap_calib.io.file import malformed
 from mocap_calib.io.keypoints.document import Document, Item, describe
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, KeypointFormat
 from mocap_calib.io.registry import find_format, format_names
@@ -70,4 +69,4 @@ def require_format(item: Item, format: str | None) -> KeypointFormat:
     else:
         expected = f"one of: {', '.join(format_names(KEYPOINT_FORMATS))}"
         remedy = remedy or "export one of these (docs/formats.md)"
-    raise malformed(document.source, expected, found, remedy)
+    raise FormatError(document.source, expected, found, remedy)

@@ -6,7 +6,8 @@ frame number is the place in the list.
 
 from typing import Any
 
-from mocap_calib.io.file import make_view, malformed, stack_detections
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import make_view, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.per_frame import is_list_of, most_keypoints, numbers_of
@@ -35,7 +36,7 @@ def _individuals(frame: Any, source: str) -> list[Floats]:
     """Return `[keypoint, 3]` x, y, likelihood of each individual. Raises FormatError."""
     entries = frame.get("bodyparts") if isinstance(frame, dict) else None
     if not isinstance(entries, list):
-        raise malformed(
+        raise FormatError(
             source,
             "an object with a list `bodyparts`",
             type(frame).__name__,
@@ -47,7 +48,7 @@ def _individuals(frame: Any, source: str) -> list[Floats]:
     ]
     for points in found:
         if points.ndim != 2 or points.shape[1] != 3:
-            raise malformed(
+            raise FormatError(
                 source,
                 "x, y, likelihood for each body part",
                 f"shape {list(points.shape)}",

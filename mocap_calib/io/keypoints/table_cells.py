@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError
 from mocap_calib.io.keypoints.document import Item
 from mocap_calib.types import Floats, Ints
 
@@ -40,7 +40,7 @@ class Cells:
             return np.array([float(cell) if cell else np.nan for cell in column], dtype=np.float64)
         except ValueError:
             row = next(k for k, cell in enumerate(column) if cell and not _is_number(cell))
-            raise malformed(
+            raise FormatError(
                 self.place(row),
                 "a number with a decimal point",
                 column[row],
@@ -60,14 +60,14 @@ def read_cells(item: Item) -> Cells:
     """Read all cells of a table. Raises FormatError, also where there is no row."""
     source, header = item.origin.source, item.document.header
     if len(set(header)) < len(header):
-        raise malformed(source, "each column once", ",".join(header), "rename or remove columns")
+        raise FormatError(source, "each column once", ",".join(header), "rename or remove columns")
     rows, lines = _read_rows(item)
     rows, lines = rows[1:], lines[1:]
     if not rows:
-        raise malformed(source, "rows below the header", "none", "export it again")
+        raise FormatError(source, "rows below the header", "none", "export it again")
     for cells, line in zip(rows, lines, strict=True):
         if len(cells) != len(header):
-            raise malformed(
+            raise FormatError(
                 f"{source}: row {line}",
                 f"{len(header)} cells, as many as the header has",
                 len(cells),
@@ -90,7 +90,7 @@ def _read_rows(item: Item) -> tuple[list[list[str]], list[int]]:
                 rows.append(cells)
                 lines.append(reader.line_num)
     except csv.Error as error:
-        raise malformed(
+        raise FormatError(
             item.origin.source, "comma-separated values", error, "export it again"
         ) from None
     return rows, lines

@@ -12,11 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from mocap_calib.config import LARGEST_SHARE
-from mocap_calib.errors import FormatError
+from mocap_calib.errors import FormatError, argument
 from mocap_calib.io.file import (
     NO_SCORE,
     make_view,
-    malformed,
     stack_detections,
     visibility_as_confidence,
 )
@@ -43,11 +42,11 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     source = item.origin.source
     size = options.size_of(item.origin.camera)
     if size == (0, 0):
-        raise malformed(
+        raise FormatError(
             source,
             "the size of the images, of which positions are shares",
             "none",
-            "say --image-size WIDTHxHEIGHT",
+            f"say {argument('image_size', 'WIDTHxHEIGHT')}",
         )
     if not options.layout:
         raise _names_wanted(item.document, source)
@@ -78,7 +77,7 @@ def _names_wanted(document: Document, source: str) -> FormatError:
         for name, names in LAYOUTS.items()
         if any(count - width * len(names) in _BEHIND for width in (2, 3))
     ]
-    return malformed(
+    return FormatError(
         source,
         "the names of its keypoints",
         f"{count} numbers after the box",
@@ -104,7 +103,7 @@ def _rows(document: Document) -> Iterator[Row]:
         source = f"{document.source}: line {number}"
         first = line_of.setdefault(tuple(cells), number)
         if first != number:
-            raise malformed(
+            raise FormatError(
                 source,
                 "each detection once",
                 f"what line {first} says",
@@ -113,7 +112,7 @@ def _rows(document: Document) -> Iterator[Row]:
         try:
             yield source, np.array([float(cell) for cell in cells[_BOX:]])
         except ValueError as error:
-            raise malformed(
+            raise FormatError(
                 source, "numbers", error, "the file is damaged: export it again"
             ) from None
 
@@ -141,12 +140,12 @@ def _points(row: Row, keypoints: int, width: int) -> Floats:
     """Return `[keypoint, 3]` of a line with `width` numbers a point. Raises FormatError."""
     source, numbers = row
     if len(numbers) - width * keypoints not in _BEHIND:
-        raise malformed(
+        raise FormatError(
             source,
             f"2 or 3 numbers for each of {keypoints} keypoints after the box, "
             "as in the other lines",
             f"{len(numbers)} numbers",
-            "give --layout with as many names as there are keypoints",
+            f"give {argument('layout')} with as many names as there are keypoints",
         )
     points = numbers[: width * keypoints].reshape(keypoints, width)
     absent = np.full((keypoints, 3 - width), np.nan)
@@ -157,7 +156,7 @@ def _check_shares(values: Floats, source: str) -> None:
     """Raise FormatError where `[..., 3]` values have positions that are no shares of the image."""
     largest = np.nanmax(np.abs(values[..., :2]), initial=0.0)
     if largest > LARGEST_SHARE:
-        raise malformed(
+        raise FormatError(
             source,
             "positions from 0 to 1",
             f"{largest:.1f}",

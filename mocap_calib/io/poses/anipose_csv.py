@@ -11,7 +11,8 @@ import io
 
 import numpy as np
 
-from mocap_calib.io.file import decode, malformed
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import decode
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
@@ -69,9 +70,9 @@ def _split_rows(content: bytes, source: str) -> tuple[list[str], list[list[str]]
     try:
         rows = [row for row in csv.reader(text) if row]
     except (csv.Error, ValueError) as error:
-        raise malformed(source, "comma-separated values", error, _REMEDY) from None
+        raise FormatError(source, "comma-separated values", error, _REMEDY) from None
     if not rows:
-        raise malformed(source, "comma-separated values", "no row", _REMEDY)
+        raise FormatError(source, "comma-separated values", "no row", _REMEDY)
     return rows[0], rows[1:]
 
 
@@ -84,7 +85,7 @@ def _find_keypoints(header: list[str], source: str) -> list[str]:
     if missing or not names or _FRAME not in columns or len(columns) < len(header):
         expected = f"columns {', '.join(_FIELDS)} of each keypoint, and fnum, each once"
         found = f"no {', '.join(missing) or 'such names'}"
-        raise malformed(f"{source}: line 1", expected, found, _REMEDY)
+        raise FormatError(f"{source}: line 1", expected, found, _REMEDY)
     return names
 
 
@@ -99,7 +100,7 @@ def _parse_table(rows: list[list[str]], width: int, source: str) -> Floats:
         except ValueError as error:
             where = f"{source}: row {index + 2}"
             expected = f"{width} numbers or empty cells"
-            raise malformed(where, expected, error, "mend the row") from None
+            raise FormatError(where, expected, error, "mend the row") from None
     return table
 
 
@@ -107,7 +108,7 @@ def _parse_frames(numbers: Floats, source: str) -> Ints:
     """Return `[frame]` numbers. Raises FormatError."""
     whole = np.isfinite(numbers) & (numbers == np.round(numbers)) & (np.abs(numbers) < 2**53)
     if not whole.all():
-        raise malformed(source, "a whole number fnum in each row", "others", _REMEDY)
+        raise FormatError(source, "a whole number fnum in each row", "others", _REMEDY)
     return numbers.astype(np.int64)
 
 

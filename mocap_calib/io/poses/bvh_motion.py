@@ -73,8 +73,10 @@ def make_tree(file: PoseFile) -> Tree:
     edges = known_edges(file)
     if not edges:
         raise MismatchError(
-            f"bvh: expected keypoints that a skeleton joins, found {', '.join(names[:4])}, ...; "
-            "write another format, or rename them (docs/skeletons.md)"
+            "bvh",
+            "keypoints that a skeleton joins",
+            f"{', '.join(names[:4])}, ...",
+            "write another format, or rename them (docs/skeletons.md)",
         )
     skeleton = choose_skeleton(names)
     joints = match_names(names, skeleton)

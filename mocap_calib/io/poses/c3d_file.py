@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import c3d
 import numpy as np
 
-from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.poses.axes import up_axis
 from mocap_calib.io.poses.common import (
     PoseFile,
@@ -72,7 +71,7 @@ def parse(content: bytes, source: str) -> PoseFile:
         found = _read(content)
     cut = any("end of file" in str(warning.message) for warning in caught)
     if cut or not len(found.frames):
-        raise malformed(source, "a whole C3D file", "one that is cut", "copy it again")
+        raise FormatError(source, "a whole C3D file", "one that is cut", "copy it again")
     unit = known_unit(found.unit, f"{source}: POINT:UNITS")
     individuals, keypoints = _split_labels(found.labels)
     positions = _split_markers(found, individuals, keypoints, source)
@@ -125,7 +124,7 @@ def _split_markers(
     labels = found.labels
     if len(individuals) * len(keypoints) != len(labels) or len(set(labels)) < len(labels):
         expected = "the same markers of every individual, each once"
-        raise malformed(source, expected, ", ".join(labels[:8]), "rename the markers")
+        raise FormatError(source, expected, ", ".join(labels[:8]), "rename the markers")
     markers = [
         labels.index(_label(individual, keypoint))
         for individual in individuals
@@ -155,8 +154,10 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     first = int(frames[0])
     if first < 0 or not 0 < rate < float(np.finfo(np.float32).max):
         raise MismatchError(
-            "c3d: expected frames from 0 on and a rate that fits, "
-            f"found frame {first} and rate {rate}; shift the frames"
+            "c3d",
+            "frames from 0 on and a rate that fits",
+            f"frame {first} and rate {rate}",
+            "shift the frames",
         )
     table = _make_table(positions.reshape(len(frames), len(labels), 3))
     with warnings.catch_warnings():
@@ -176,11 +177,13 @@ def _make_labels(file: PoseFile) -> list[str]:
         for keypoint in file.poses.keypoints
     ]
     if not individuals:
-        raise MismatchError("c3d: expected at least one individual, found none; nothing to write")
+        raise MismatchError("c3d", "at least one individual", "none", "nothing to write")
     if not 0 < len(labels) <= _MOST_MARKERS:
         raise MismatchError(
-            f"c3d: expected 1 to {_MOST_MARKERS} markers, found {len(labels)} "
-            "(individuals x keypoints); write fewer individuals or another format"
+            "c3d",
+            f"1 to {_MOST_MARKERS} markers",
+            f"{len(labels)} (individuals x keypoints)",
+            "write fewer individuals or another format",
         )
     return labels
 

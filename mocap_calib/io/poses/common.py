@@ -13,9 +13,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.errors import MismatchError, one_line
+from mocap_calib.errors import FormatError, MismatchError, argument, one_line
 from mocap_calib.io.crash_guard import HDF5
-from mocap_calib.io.file import find_repeated, malformed
+from mocap_calib.io.file import find_repeated
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.units import unit_factor
 from mocap_calib.recording.joints import choose_skeleton, edges_of_keypoints, match_names
@@ -125,7 +125,7 @@ def refuse_damage(
         yield
     except DAMAGE as error:
         found = f"an error ({one_line(error)})"
-        raise malformed(source, expected, found, remedy) from None
+        raise FormatError(source, expected, found, remedy) from None
 
 
 def is_hdf5_that(content: bytes, test: Callable[[h5py.File], bool]) -> bool:
@@ -181,9 +181,9 @@ def check_poses(file: PoseFile, source: str) -> PoseFile:
         twice = find_repeated(names)
         if twice:
             found = f"{', '.join(twice)} twice"
-            raise malformed(source, f"each {what} once", found, "rename one of them")
+            raise FormatError(source, f"each {what} once", found, "rename one of them")
     if (np.diff(file.poses.frames) <= 0).any():
-        raise malformed(source, "frames in order, each once", "others", "write the file again")
+        raise FormatError(source, "frames in order, each once", "others", "write the file again")
     return file
 
 
@@ -204,8 +204,10 @@ def never(content: bytes) -> bool:
 def refuse_reading(content: bytes, source: str) -> PoseFile:
     """Raise MismatchError: the format is only written."""
     raise MismatchError(
-        f"{source}: expected a format that is read, found one that is only written; "
-        "give the file that it was made of, or leave the name of the format out"
+        source,
+        "a format that is read",
+        "one that is only written",
+        "give the file that it was made of, or leave the name of the format out",
     )
 
 
@@ -243,12 +245,14 @@ def fill_gaps(poses: Poses3D, owner: str) -> tuple[Ints, Floats]:
     Raises MismatchError where there is no frame, or far too many.
     """
     if not len(poses.frames):
-        raise MismatchError(f"{owner}: expected at least one frame, found none; nothing to write")
+        raise MismatchError(owner, "at least one frame", "none", "nothing to write")
     first, last = int(poses.frames[0]), int(poses.frames[-1])
     if last - first >= _LONGEST:
         raise MismatchError(
-            f"{owner}: expected frames within {_LONGEST} of each other, as the format has no gaps, "
-            f"found {first} to {last}; split the file"
+            owner,
+            f"frames within {_LONGEST} of each other, as the format has no gaps",
+            f"{first} to {last}",
+            "split the file",
         )
     positions = np.full((last - first + 1, *poses.positions.shape[1:]), np.nan)
     positions[poses.frames - first] = poses.positions
@@ -259,7 +263,7 @@ def need_rate(file: PoseFile, owner: str) -> float:
     """Return the frames per second. Raises MismatchError where nobody said."""
     if not file.rate > 0 or not np.isfinite(file.rate):
         raise MismatchError(
-            f"{owner}: expected the number of frames per second, found none; say it with --fps"
+            owner, "the number of frames per second", "none", f"say it with {argument('fps')}"
         )
     return file.rate
 
@@ -271,7 +275,7 @@ def need_keypoints(file: PoseFile, pattern: str, words: str, owner: str) -> None
     """
     for name in (*file.poses.keypoints, *file.individuals):
         if not re.fullmatch(pattern, name):
-            raise MismatchError(f"{owner}: expected names of {words}, found {name!r}; rename it")
+            raise MismatchError(owner, f"names of {words}", f"{name!r}", "rename it")
 
 
 def lost_unit(file: PoseFile) -> tuple[str, ...]:

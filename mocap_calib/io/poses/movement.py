@@ -151,8 +151,10 @@ def to_dataset(file: PoseFile) -> "xarray.Dataset":
         import xarray  # noqa: PLC0415 - an extra
     except ImportError:
         raise MismatchError(
-            "to_xarray: expected the package xarray, found none; "
-            "install it with `pip install mocap-calib[xarray]`"
+            "to_xarray",
+            "the package xarray",
+            "none",
+            "install it with `pip install mocap-calib[xarray]`",
         ) from None
     times, labels = _coordinates(file)
     coordinates = {"time": times} | {name: list(names) for name, names in labels.items()}

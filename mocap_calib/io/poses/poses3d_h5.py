@@ -8,7 +8,7 @@ import io
 import h5py
 import numpy as np
 
-from mocap_calib.io.file import malformed
+from mocap_calib.errors import FormatError
 from mocap_calib.io.hdf5 import integers, names
 from mocap_calib.io.poses.common import (
     PoseFile,
@@ -62,7 +62,7 @@ def _read_edges(file: h5py.File, poses: Poses3D, source: str) -> tuple[tuple[int
     if edges.size and not 0 <= edges.min() <= edges.max() < len(poses.keypoints):
         found = f"{edges.min()} to {edges.max()}"
         expected = f"edges between the {len(poses.keypoints)} keypoints, counted from 0"
-        raise malformed(source, expected, found, "write the file again")
+        raise FormatError(source, expected, found, "write the file again")
     return tuple((int(a), int(b)) for a, b in edges)
 
 
@@ -73,7 +73,7 @@ def _read_joints(file: h5py.File, poses: Poses3D, source: str) -> tuple[str, ...
     joints = names(file, "keypoint_joints", source)
     if len(joints) != len(poses.keypoints):
         expected = f"a joint for each of the {len(poses.keypoints)} keypoints"
-        raise malformed(source, expected, f"{len(joints)}", "write the file again")
+        raise FormatError(source, expected, f"{len(joints)}", "write the file again")
     return joints
 
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.crash_guard import guard_hdf5
-from mocap_calib.io.file import find_repeated, malformed, read_bytes
+from mocap_calib.io.file import find_repeated, read_bytes
 from mocap_calib.io.poses import poses3d_h5
 from mocap_calib.io.poses.common import UNNAMED, PoseFile, check_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS, PoseFormat
@@ -48,11 +48,13 @@ def parse_poses(
     if unit is None:
         return file
     if poses3d_h5.sniff(content) and file.poses.unit == ARBITRARY:
-        raise MismatchError(refuse_unit(source, unit))
+        raise refuse_unit(source, unit)
     if file.poses.unit not in (ARBITRARY, unit):
         raise MismatchError(
-            f"{source}: expected lengths in {file.poses.unit}, as the file says, "
-            f"found --input-unit {unit}; leave it out"
+            source,
+            f"lengths in {file.poses.unit}, as the file says",
+            argument("input_unit", unit),
+            "leave it out",
         )
     return replace(file, poses=replace(file.poses, unit=unit))
 
@@ -77,8 +79,10 @@ def join_individuals(files: Sequence[PoseFile], source: str) -> PoseFile:
         return first
     if not all(_belong_together(first, other) for other in files[1:]):
         raise MismatchError(
-            f"{source}: expected files of one recording, found other keypoints, units or rates; "
-            "give them one by one"
+            source,
+            "files of one recording",
+            "other keypoints, units or rates",
+            "give them one by one",
         )
     notes = tuple(note for file in files for note in file.notes)
     poses = _join_poses([file.poses for file in files])
@@ -102,7 +106,7 @@ def _find_format(content: bytes, source: str, format: str | None) -> PoseFormat:
         return find_format(POSE_FORMATS, name)
     found = f"content that begins with {content[:16]!r}" if content else "an empty file"
     expected = f"one of: {', '.join(read_names(POSE_FORMATS))}"
-    raise malformed(source, expected, found, "export one of these, or name it")
+    raise FormatError(source, expected, found, "export one of these, or name it")
 
 
 def _belong_together(first: PoseFile, other: PoseFile) -> bool:

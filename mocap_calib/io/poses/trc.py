@@ -12,7 +12,8 @@ import math
 
 import numpy as np
 
-from mocap_calib.io.file import decode, malformed
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import decode
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
@@ -48,7 +49,7 @@ def parse(content: bytes, source: str) -> PoseFile:
     lines = decode(content, source).splitlines()
     if len(lines) < _HEADER_LINES:
         expected = "the five lines of a TRC header"
-        raise malformed(source, expected, f"{len(lines)}", "write the file again")
+        raise FormatError(source, expected, f"{len(lines)}", "write the file again")
     header = _parse_header(lines, source)
     names = _parse_names(lines[3], header["NumMarkers"], source)
     frames, positions = _parse_rows(lines[_HEADER_LINES:], len(names), source)
@@ -63,7 +64,7 @@ def _parse_header(lines: list[str], source: str) -> dict[str, str]:
     if not header.keys() >= _NEEDED:
         expected = "DataRate, NumMarkers, Units and their values below"
         found = ", ".join(header) or "nothing"
-        raise malformed(f"{source}: line 2", expected, found, "write the file again")
+        raise FormatError(f"{source}: line 2", expected, found, "write the file again")
     return header
 
 
@@ -72,7 +73,7 @@ def _parse_names(line: str, count: str, source: str) -> list[str]:
     names = [cell.strip() for cell in line.split("\t")[2::3] if cell.strip()]
     if str(len(names)) != count:
         expected = f"{count} names of markers"
-        raise malformed(f"{source}: line 4", expected, f"{len(names)}", "write the file again")
+        raise FormatError(f"{source}: line 4", expected, f"{len(names)}", "write the file again")
     return names
 
 
@@ -82,7 +83,7 @@ def _parse_rate(text: str, source: str) -> float:
         return float(text)
     except ValueError:
         where = f"{source}: line 3"
-        raise malformed(where, "a number for DataRate", text, "mend it") from None
+        raise FormatError(where, "a number for DataRate", text, "mend it") from None
 
 
 def _parse_rows(lines: list[str], markers: int, source: str) -> tuple[Ints, Floats]:
@@ -102,10 +103,10 @@ def _parse_rows(lines: list[str], markers: int, source: str) -> tuple[Ints, Floa
             positions[index, : len(values)] = [_parse_number(cell) for cell in values]
         except (ValueError, OverflowError) as error:
             expected = "a frame, a time, and numbers or empty cells"
-            raise malformed(where, expected, error, "mend the line") from None
+            raise FormatError(where, expected, error, "mend the line") from None
         if any(cell.strip() for cell in cells[2 + 3 * markers :]):
             expected = f"{2 + 3 * markers} cells"
-            raise malformed(where, expected, f"{len(cells)}", "mend the line")
+            raise FormatError(where, expected, f"{len(cells)}", "mend the line")
     return frames, mark_missing(positions.reshape(len(rows), markers, 3))
 
 

@@ -29,9 +29,7 @@ def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Wr
         written = known.writer()(file, title)
         return Written({path.name: written.content}, written.lost)
     if not file.individuals:
-        raise MismatchError(
-            f"{format}: expected at least one individual, found none; nothing to write"
-        )
+        raise MismatchError(format, "at least one individual", "none", "nothing to write")
     files: dict[str, bytes] = {}
     lost: dict[str, None] = {}  # which keeps the order
     for individual, own in enumerate(individual_files(path, len(file.individuals))):

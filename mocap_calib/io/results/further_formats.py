@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import MismatchError, describe_lost, suggest
+from mocap_calib.errors import MismatchError, argument, describe_lost, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.poses.common import PoseFile, bare_poses, describe_poses
@@ -44,8 +44,10 @@ def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY
     for name in names:
         if name not in (*poses, *cameras):
             raise MismatchError(
-                f"--write: expected one of {', '.join((*poses, *cameras))}, found {name!r}; "
-                f"{suggest(name, (*poses, *cameras))}"
+                argument("write"),
+                f"one of {', '.join((*poses, *cameras))}",
+                f"{name!r}",
+                suggest(name, (*poses, *cameras)),
             )
         known: AnyFormat
         known = find_format(POSE_FORMATS if name in poses else CAMERA_FORMATS, name)
@@ -54,8 +56,10 @@ def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY
             _check_unit(known)
         if known.timed and fps is None:
             raise MismatchError(
-                f"--write {name}: expected the number of frames per second, found none; "
-                "say it with --fps"
+                argument("write", name),
+                "the number of frames per second",
+                "none",
+                f"say it with {argument('fps')}",
             )
 
 
@@ -91,10 +95,12 @@ def _check_unit(known: AnyFormat) -> None:
     file = "cameras.yaml" if known.kind == "cameras" else "poses3d.h5"
     rate = " --fps FPS" if known.timed else ""
     raise MismatchError(
-        f"--write {known.name}: expected a format that leaves the unit of length open, found one "
-        f"in {known.unit}, and a run does not know lengths; say one (--height, --length, "
-        "--camera-distance), or afterwards: mocap-calib scale OUT --height 1.75; "
-        f"mocap-calib convert OUT/{file} NEW --to {known.name}{rate}"
+        argument("write", known.name),
+        "a format that leaves the unit of length open",
+        f"one in {known.unit}, and a run does not know lengths",
+        f"say one ({argument('height')}, {argument('length')}, {argument('camera_distance')}), or "
+        "afterwards: mocap-calib scale OUT --height 1.75; mocap-calib convert "
+        f"OUT/{file} NEW --to {known.name}{rate}",
     )
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import decode, malformed, read_bytes
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.file import decode, read_bytes
 from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
 from mocap_calib.recording.corrections import own_name
 from mocap_calib.recording.names import compose_name
@@ -92,22 +92,22 @@ def parse_matches(text: str, source: str) -> tuple[list[str], Ints]:
     try:
         table = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
     except csv.Error as error:
-        raise malformed(source, "comma-separated values", error, _REMEDY) from None
+        raise FormatError(source, "comma-separated values", error, _REMEDY) from None
     if not table or table[0] != _COLUMNS:
         found = ",".join(table[0]) if table else "an empty file"
-        raise malformed(source, f"the columns {','.join(_COLUMNS)}", found, _REMEDY)
+        raise FormatError(source, f"the columns {','.join(_COLUMNS)}", found, _REMEDY)
     numbers = [cells[1:] for cells in table[1:]]
     try:
         rows = np.array([[int(cell) for cell in cells] for cells in numbers], dtype=np.int64)
         rows = rows.reshape(-1, 3)
     except (ValueError, OverflowError) as error:
         expected = "three whole numbers after the camera in each row"
-        raise malformed(source, expected, error, _REMEDY) from None
+        raise FormatError(source, expected, error, _REMEDY) from None
     individual = rows[:, 2]
     possible = (individual >= -1) & (individual < len(rows))
     if len(rows) != len(numbers) or not possible.all():
         expected = "four cells a row, individuals counted from 0, -1 = nobody"
-        raise malformed(source, expected, "others", _REMEDY)
+        raise FormatError(source, expected, "others", _REMEDY)
     return [compose_name(row[0]) for row in table[1:]], rows
 
 
@@ -150,8 +150,7 @@ def _find_detections(cameras: list[str], rows: Ints, recording: Recording, sourc
         row = int(np.argmin(known))
         found = f"camera {cameras[row]} frame {rows[row, 0]} instance {rows[row, 1]}"
         raise MismatchError(
-            f"{source}: row {row + 2}: expected detections of the recording, found {found}; "
-            f"{_WRONG_RECORDING}"
+            f"{source}: row {row + 2}", "detections of the recording", found, _WRONG_RECORDING
         )
     return np.column_stack([view, frame, instance])
 
@@ -162,8 +161,10 @@ def _find_views(cameras: list[str], recording: Recording, source: str) -> Ints:
     strangers = sorted(set(cameras) - set(index))
     if strangers:
         raise MismatchError(
-            f"{source}: expected the cameras {', '.join(recording.names)}, "
-            f"found {', '.join(strangers)}; {_WRONG_RECORDING}"
+            source,
+            f"the cameras {', '.join(recording.names)}",
+            ", ".join(strangers),
+            _WRONG_RECORDING,
         )
     return np.array([index[name] for name in cameras], dtype=np.int64)
 
@@ -171,4 +172,4 @@ def _find_views(cameras: list[str], recording: Recording, source: str) -> Ints:
 def _check_once(rows: Ints, expected: str, source: str) -> None:
     """Raise FormatError where a row occurs twice."""
     if len(np.unique(rows, axis=0)) != len(rows):
-        raise malformed(source, expected, "one of them twice", "remove one of the rows")
+        raise FormatError(source, expected, "one of them twice", "remove one of the rows")

@@ -14,7 +14,6 @@ from mocap_calib.io.cameras.intrinsics import (
     describe_keys,
     numbers,
 )
-from mocap_calib.io.file import malformed
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.types import Camera
@@ -96,7 +95,7 @@ def pairs_from_json(
         raise
     except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         found = f"an error ({one_line(error)})"
-        raise malformed(source, "pairs of the cameras named", found, _REMEDY) from None
+        raise FormatError(source, "pairs of the cameras named", found, _REMEDY) from None
     return tuple(pairs), cameras
 
 
@@ -140,7 +139,7 @@ def _check_alternatives(pair: PairwiseCalibration, source: str) -> None:
     """Raise FormatError where an alternative is of other cameras."""
     cameras = {pair.a, pair.b}
     if any({alternative.a, alternative.b} != cameras for alternative in pair.alternatives):
-        raise malformed(source, "alternatives of the same two cameras", "others", _REMEDY)
+        raise FormatError(source, "alternatives of the same two cameras", "others", _REMEDY)
 
 
 def _json_list(name: str, entries: Sequence[Any]) -> str:
@@ -154,11 +153,11 @@ def _parse(text: str, source: str) -> dict[str, Any]:
     try:
         data = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise malformed(source, "JSON", f"an error ({error})", _REMEDY) from None
+        raise FormatError(source, "JSON", f"an error ({error})", _REMEDY) from None
     head = (data.get("format"), data.get("version")) if isinstance(data, dict) else None
     if head != (_FORMAT, VERSION):
         expected = f"{_FORMAT}, version {VERSION}"
-        raise malformed(source, expected, describe_keys(data), _REMEDY)
+        raise FormatError(source, expected, describe_keys(data), _REMEDY)
     if not isinstance(data.get("cameras"), list) or not isinstance(data.get("pairs"), list):
-        raise malformed(source, "lists of cameras and pairs", describe_keys(data), _REMEDY)
+        raise FormatError(source, "lists of cameras and pairs", describe_keys(data), _REMEDY)
     return data

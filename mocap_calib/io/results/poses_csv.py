@@ -26,9 +26,7 @@ def check_poses_csv(path: Path, individuals: int) -> None:
     That is where there is none, and where a file there would pass for one more.
     """
     if not individuals:
-        raise MismatchError(
-            f"{path}: expected at least one individual, found none; nothing to write"
-        )
+        raise MismatchError(path, "at least one individual", "none", "nothing to write")
     check_no_further_individual(path, individuals)
 
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib import mapped
+from mocap_calib.errors import FormatError
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
-from mocap_calib.io.file import malformed
 from mocap_calib.io.hdf5_packed import write_packed
 from mocap_calib.io.world_fields import read_world, world_fields
 from mocap_calib.results import POINT_SOURCES, Poses3D
@@ -153,7 +153,7 @@ def parse_poses_h5(content: bytes, source: str) -> Poses3D:
         check_shape("views", poses.views, *shape)
         check_shape("confidence", poses.confidence, *shape)
     except hdf5.HDF5_DAMAGE as damage:
-        raise malformed(
+        raise FormatError(
             source, f"{_FORMAT}, version {VERSION}", f"an error ({damage})", "write the file again"
         ) from None
     return poses

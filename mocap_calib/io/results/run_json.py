@@ -7,7 +7,8 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, NoReturn
 
-from mocap_calib.io.file import malformed, read_bytes
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import read_bytes
 
 _NUMBER = (int, float)
 # a mapping has these keys at least; the first entry of a list is the form of all of them
@@ -42,14 +43,14 @@ def read_run_json(path: Path, schema: int) -> dict[str, Any]:
     try:
         found = json.loads(read_bytes(path), parse_constant=_refuse, parse_float=_finite)
     except (ValueError, RecursionError) as error:
-        raise malformed(source, "what `run` writes", f"an error ({error})", remedy) from None
+        raise FormatError(source, "what `run` writes", f"an error ({error})", remedy) from None
     if isinstance(found, Mapping) and found.get("schema", schema) != schema:
-        raise malformed(source, f"`schema` {schema}", found["schema"], remedy)
+        raise FormatError(source, f"`schema` {schema}", found["schema"], remedy)
     wrong = _first_unlike(found, _FORM, "")
     if wrong is None:
         wrong = _first_unlike_evidence(found["cameras"])
     if wrong is not None:
-        raise malformed(source, "what `run` writes", f"something else at {wrong}", remedy)
+        raise FormatError(source, "what `run` writes", f"something else at {wrong}", remedy)
     run: dict[str, Any] = found
     return run
 

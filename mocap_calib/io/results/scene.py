@@ -73,8 +73,10 @@ def write_scene(path: Path, scene: SceneLike, command: str) -> None:
     strangers = {compose_name(file.name) for file in (path / "keypoints").glob("*")} - own
     if strangers:
         raise MismatchError(
-            f"{path}: expected a new folder or one with the same cameras, "
-            f"found keypoints/{min(strangers)}: choose another or remove it"
+            path,
+            "a new folder or one with the same cameras",
+            f"keypoints/{min(strangers)}",
+            "choose another or remove that file",
         )
     write_files(path, scene_files(scene, command))
 
@@ -84,8 +86,10 @@ def check_own_files(path: Path, files: Mapping[str, bytes]) -> None:
     for name, content in files.items():
         if (path / name).exists() and (path / name).read_bytes() != content:
             raise MismatchError(
-                f"{path / name}: expected a new folder, or one with the same example, "
-                "found another file of that name; choose another folder"
+                path / name,
+                "a new folder, or one with the same example",
+                "another file of that name",
+                "choose another folder",
             )
 
 
