@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import PEOPLE, scene
+from scenes import PEOPLE, calibrate_group, precision, rotation_errors_deg, scene
 
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.identities import finalise_identities, join_pieces, motion_evidence
-from mocap_calib.identities.pieces import BoneLengths, cut_into_pieces, measure_bones
+from mocap_calib.identities.pieces import BoneLengths, cut_into_pieces
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.results import Matches
+from mocap_calib.results import GroupResult, Matches
+from mocap_calib.types import Keypoints2D
 
 FRAMES = 160
 JOINTS = scene().files[0].positions.shape[2]
@@ -66,8 +67,17 @@ def on_lines(speed: float = 0.02) -> np.ndarray:
     return places
 
 
-def everybody() -> np.ndarray:
-    return np.ones((FRAMES, 2), dtype=bool)
+def with_third() -> np.ndarray:
+    """Return places of the two, and of a third who walks beside them."""
+    return np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
+
+
+def everybody(bodies: int = 2) -> np.ndarray:
+    return np.ones((FRAMES, bodies), dtype=bool)
+
+
+def three_bodies() -> list[np.ndarray]:
+    return [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)]
 
 
 def test_twins_who_walk_through_each_other_keep_their_names():
@@ -84,7 +94,7 @@ def test_twins_who_walk_through_each_other_keep_their_names():
 def test_who_comes_back_is_known_by_proportions(exchanged):
     """Both are away for 80 frames, and come back where they left, or where the other one did.
 
-    The second is 6 % larger.
+    The second is 6 % larger. Twins get no new names.
     """
     places, seen = 0.3 * on_lines(), everybody()
     places[..., 1] += [-0.8, 0.8]
@@ -95,22 +105,15 @@ def test_who_comes_back_is_known_by_proportions(exchanged):
     first, second = names[seen[:, 0]].T
     assert set(first) != set(second)
     assert len(set(first)) == len(set(second)) == 1
-
-
-def test_twins_who_come_back_get_no_new_names():
-    places, seen = 0.3 * on_lines(), everybody()
-    places[..., 1] += [-0.8, 0.8]
-    seen[40:120] = False
-    names = name_walkers(places, [a_body(), a_body()], seen)
-    assert set(names[seen]) == {0, 1}
+    twins = name_walkers(places, [a_body(), a_body()], seen)
+    assert set(twins[seen]) == {0, 1}
 
 
 def test_who_comes_from_outside_is_not_the_one_who_left():
     """All are alike. Two are always there, a third comes and leaves; 50 frames later one comes."""
-    places = np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
-    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen = everybody(3)
     seen[:30, 2] = seen[60:110, 2] = False
-    names = name_walkers(places, [a_body(), a_body(), a_body()], seen)
+    names = name_walkers(with_third(), [a_body()] * 3, seen)
     first, second = set(names[30:60, 2]), set(names[110:, 2])
     assert len(first) == len(second) == 1
     assert first != second
@@ -119,12 +122,10 @@ def test_who_comes_from_outside_is_not_the_one_who_left():
 
 def test_no_more_individuals_than_are_known_to_be_there():
     """A third one is seen in 40 frames: two are asked for, and the two seen longest are named."""
-    places = np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
-    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen = everybody(3)
     seen[40:, 2] = False
-    bodies = [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)]
-    assert set(name_walkers(places, bodies, seen)[seen]) == {0, 1, 2}
-    names = name_walkers(places, bodies, seen, individuals=2)
+    assert set(name_walkers(with_third(), three_bodies(), seen)[seen]) == {0, 1, 2}
+    names = name_walkers(with_third(), three_bodies(), seen, individuals=2)
     assert (names[:, 2] == -1).all()
     assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
 
@@ -132,10 +133,9 @@ def test_no_more_individuals_than_are_known_to_be_there():
 @pytest.mark.parametrize(("frames", "named"), [(7, False), (8, True)])
 def test_who_is_seen_for_a_moment_is_nobody(frames, named):
     """The longest run of chance, log2 of 160 frames, is a moment."""
-    places = np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
-    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen = everybody(3)
     seen[:, 2] = np.arange(FRAMES) < frames
-    names = name_walkers(places, [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)], seen)
+    names = name_walkers(with_third(), three_bodies(), seen)
     assert set(names[seen[:, 2], 2]) == ({2} if named else {-1})
     assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
 
@@ -150,14 +150,13 @@ def test_who_is_seen_for_a_moment_is_nobody(frames, named):
 )
 def test_who_is_never_followed_and_seen_by_two_views_is_nobody(each, jumps, views, named):
     rng = np.random.default_rng(2)
-    places = np.concatenate([on_lines(), np.zeros((FRAMES, 1, 3))], axis=1)
+    places = with_third()
     places[:, 2] = [0, 1.5, 0]
     if jumps:
         places[:, 2] += rng.uniform(-1, 1, (FRAMES, 3)) * [1, 1, 0]
-    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen = everybody(3)
     seen[:, 2] = np.arange(FRAMES) % (8 * each) < each
-    bodies = [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)]
-    names = name_walkers(places, bodies, seen, views=views)
+    names = name_walkers(places, three_bodies(), seen, views=views)
     assert set(names[seen[:, 2], 2]) == ({2} if named else {-1})
     assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
 
@@ -202,17 +201,6 @@ def two_walkers_with_a_gap() -> np.ndarray:
     return points
 
 
-def test_bodies_are_measured_in_their_pieces():
-    """The lengths of all pieces are those of their bodies: measured 3 %."""
-    points = two_walkers_with_a_gap()
-    pieces = cut_into_pieces(points, np.arange(80), MatchingConfig())
-    found = measure_bones(points, pieces, 500)
-    (small, large), again = pieces.number[10], pieces.number[60]
-    assert found.mean.shape[1] == JOINTS - 1
-    np.testing.assert_allclose(found.mean[large] - found.mean[small], np.log(1.3), atol=0.06)
-    np.testing.assert_allclose(found.mean[again], found.mean[[small, large]], atol=0.06)
-
-
 def test_who_shows_too_few_joints_is_whom_the_middles_of_bodies_say():
     """A joint beside the end of one piece, and three metres from that of the other."""
     points = two_walkers_with_a_gap()
@@ -222,3 +210,69 @@ def test_who_shows_too_few_joints_is_whom_the_middles_of_bodies_say():
     found = motion_evidence(points, np.arange(80), pieces, among)
     assert found[0, 2] > found[1, 2] + 1.0
     assert found[0, 1] == 0.0  # at the same time
+
+
+# tracks in the input: used, and not believed blindly
+
+
+def tracked(people: int, *, swaps: float, seed: int) -> tuple[GroupResult, np.ndarray, float]:
+    """Calibrate tracks whose order is another in each view.
+
+    In a share of the frames, in stretches of ten, the tracks are exchanged. Returns the result,
+    the identity of each detection and the largest error of the rig in degrees.
+    """
+    made, rng = scene(people=people), np.random.default_rng(seed)
+    files, identities = [], []
+    for file, identity in zip(made.files, made.identity, strict=True):
+        person = exchanged_tracks(rng, len(file.frames), people, swaps)
+        tracks, person = in_tracks(file, identity, person)
+        files.append(tracks)
+        identities.append(person)
+    found = make_recording(files, made.rig.cameras, PEOPLE, {})
+    result = calibrate_group(found)
+    return result, np.stack(identities), float(rotation_errors_deg(result.rig, made.rig).max())
+
+
+def exchanged_tracks(
+    rng: np.random.Generator, frames: int, people: int, swaps: float
+) -> np.ndarray:
+    """Return `[frame, track]` who is meant by a track."""
+    person = np.tile(rng.permutation(people), (frames, 1))
+    for start in range(0, frames, 10):
+        if rng.random() < swaps:
+            stretch = slice(start, start + 10)
+            person[stretch] = person[stretch, rng.permutation(people)]
+    return person
+
+
+def in_tracks(
+    file: Keypoints2D, identity: np.ndarray, person: np.ndarray
+) -> tuple[Keypoints2D, np.ndarray]:
+    """Return the file with its detections in tracks, and `[frame, track]` who is there, or -1.
+
+    identity: `[frame, instance]` who is who in the file; person: `[frame, track]`.
+    """
+    positions = np.full((*person.shape, *file.positions.shape[2:]), np.nan)
+    confidence = np.zeros(positions.shape[:3])
+    shown = np.full(person.shape, -1)
+    for track in range(person.shape[1]):
+        frame, instance = np.nonzero(identity == person[:, track, None])
+        positions[frame, track] = file.positions[frame, instance]
+        confidence[frame, track] = file.confidence[frame, instance]
+        shown[frame, track] = person[frame, track]
+    return replace(file, positions=positions, confidence=confidence, tracked=True), shown
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("people", "swaps"), [(2, 0.0), (3, 0.5)])
+def test_tracks_in_another_order_in_each_view_and_exchanged(people, swaps):
+    """Identities permuted between the cameras, without exchanges and with half of them exchanged.
+
+    Measured 0.13 and 0.10 degrees, nobody mistaken, with and without.
+    """
+    result, identity, error = tracked(people, swaps=swaps, seed=people)
+    assert error < 0.5
+    assert precision(result.matches.labels, identity) > 0.99
+    for person in range(people):
+        own = result.matches.labels[identity == person]
+        assert (own == np.bincount(own[own >= 0]).argmax()).mean() > 0.98
