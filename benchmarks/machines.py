@@ -1,13 +1,17 @@
-"""On what machine a figure was measured, when, and of which commit."""
+"""On what machine a figure was measured, when, of which commit, and what a process took."""
 
 import os
 import platform
 import subprocess
+import sys
+import time
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+
+Measured = tuple[float, float, float]  # seconds, of the processor, megabytes
 
 
 @cache
@@ -31,3 +35,15 @@ def describe_moment() -> dict[str, str]:
     except (OSError, subprocess.CalledProcessError):
         return moment
     return {"commit": said.stdout.strip()} | moment
+
+
+def measure(*arguments: object) -> Measured:
+    """Run Python, and return what it and its children took."""
+    command = [sys.executable, "-P", *map(str, arguments)]
+    start = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(command)}: ended with {process.returncode}")
+    return time.perf_counter() - start, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from paper.scenes import shuffled_view
 from poses_of_arrays import names_of, read_clip
-from protocol_scenes import shuffled_view
 
 from mocap_calib.errors import MismatchError, MocapCalibError
 from mocap_calib.io.cameras.read import read_rig

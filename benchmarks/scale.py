@@ -8,9 +8,9 @@ Every run is a process of its own, so that its peak memory is its own.
     .venv/bin/python benchmarks/scale.py hall 64   # along the walls of a hall: each sees a part
     .venv/bin/python benchmarks/scale.py stages    # seconds of each stage
 
-Synthetic people with 2 px of noise, 5 % missing and 1 % gross errors, seed 0. Of `long`, each
-camera numbers its tracks in an order of its own; of the others, detections come in random order and
-some are false.
+Synthetic people with 2 px of noise, 5 % missing and 1 % gross errors, seed 0. Of `long`, tracks
+have another order in each camera; of the others, detections come in random order and some are
+false.
 """
 
 import argparse
@@ -21,334 +21,151 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from itertools import combinations
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
+from machines import measure
 
-from mocap_calib.config import Config
-from mocap_calib.geometry.rotation import angle_between, looking_along
-from mocap_calib.io.cameras.own import format_calibration_toml
-from mocap_calib.lift.lifter import load_lifter
-from mocap_calib.pipeline import calibrate
-from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.synthetic import (
-    LAYOUTS,
-    Detections,
-    detect,
-    keypoint_files,
-    people,
-    ring_rig,
-    simulate,
-)
-from mocap_calib.synthetic.config import SimulateConfig
-from mocap_calib.types import Bools, CameraRig, Floats, Keypoints2D, silent
+import mocap_calib as mc
+from mocap_calib.geometry.rotation import looking_along
+from mocap_calib.synthetic import Detections, detect, keypoint_files, people, ring_rig
+from mocap_calib.types import Bools, CameraRig, Floats, Keypoints2D
 
-TOOL = Path(sys.executable).with_name("mocap-calib")
-SCENES = ("ring", "hall")
 WIDTH, LENGTH_OF_CAMERA = 12.0, 0.36  # metres of a hall
 WALLS_APART, OPENING, RANGE = 12.0, 4.0, 9.0  # metres in it
-PART = 5000  # frames simulated at a time
+PART = 5000  # frames that are simulated; people then walk back and forth along them
+USUAL = {"ring": (31, 3, 100, 0), "hall": (64, 12, 100, 0)}  # cameras, people, frames, seed
 GRID = (
-    (4, 3, 200),
-    (8, 3, 200),
-    (16, 3, 200),
-    (4, 1, 200),
-    (4, 6, 200),
-    (4, 3, 2000),
-    (4, 3, 5000),
-)  # cameras, people, frames
+    *((4, 3, 200), (8, 3, 200), (16, 3, 200), (4, 1, 200), (4, 6, 200)),
+    *((4, 3, 2000), (4, 3, 5000)),
+)
+STAGES = ("lift", "pairwise", "match", "adjust", "match all", "verdict", "triangulate")
 
 
 def main() -> None:
-    """Markdown on stdout."""
+    """Print a table as Markdown."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["long", "ring", "hall", "stages", "child"])
-    parser.add_argument(
-        "numbers",
-        nargs="*",
-        type=int,
-        metavar="N",
-        help="long: other numbers of frames; ring, hall: cameras, people, frames, seed",
-    )
+    parser.add_argument("what", choices=["long", *USUAL, "stages"])
+    numbers = "long: other numbers of frames; ring, hall: cameras, people, frames, seed"
+    parser.add_argument("numbers", nargs="*", type=int, metavar="N", help=numbers)
     parser.add_argument("--cameras", type=int, default=8, help="of `long`")
     parser.add_argument("--people", type=int, default=4, help="of `long`")
-    parser.add_argument(
-        "--scratch",
-        type=Path,
-        help="folder for the files of `long`; made again when they are there",
-    )
+    parser.add_argument("--scratch", type=Path, help="folder for the files of `long`")
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.what == "long":
+    usual = USUAL.get(options.what, ())
+    scene = (*options.numbers, *usual[len(options.numbers) :])
+    if options.child:
+        print(json.dumps(calibrate_scene(options.what, *scene)))
+    elif options.what == "long":
         with tempfile.TemporaryDirectory(dir=options.scratch) as work:
-            scene = {"cameras": options.cameras, "individuals": options.people}
-            long(Path(work), options.numbers or [2000, 100_000], **scene)
-    elif options.what == "child":
-        kind, *numbers = options.numbers
-        print(json.dumps(child(SCENES[kind], *numbers)))
+            lengths = options.numbers or [2000, 100_000]
+            print_long(Path(work), lengths, options.cameras, options.people)
     elif options.what == "stages":
-        table("ring", GRID)
+        print_scenes("ring", [(*size, 0) for size in GRID])
     else:
-        usual = {"ring": (31, 3, 100, 0), "hall": (64, 12, 100, 0)}[options.what]
-        table(options.what, [(*options.numbers, *usual[len(options.numbers) :])])
+        print_scenes(options.what, [scene])
+
+
+def print_header(columns: Sequence[str]) -> None:
+    """Print the header of a table."""
+    print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
 
 
 # --- files to files
 
 
-def long(work: Path, lengths: Sequence[int], *, cameras: int, individuals: int) -> None:
+def print_long(work: Path, lengths: Sequence[int], cameras: int, individuals: int) -> None:
     """Measure the same rig and people for longer and longer."""
-    columns = (
-        "frames",
-        "calibration (s)",
-        "matching all (s)",
-        "triangulation (s)",
-        "points",
-        "points / s",
-    )
+    columns = ("frames", "calibration (s)", "matching all (s)", "triangulation (s)", "points")
     columns += ("E_R median / max", "whole run (s)", "processor (s)", "peak memory (GB)")
-    print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
+    print_header(columns)
     for frames in lengths:
         folder = work / str(frames)
-        reference = write_scene(folder, cameras=cameras, individuals=individuals, frames=frames)
-        start = time.perf_counter()
-        with Measured() as measured:
-            measured.run(
-                TOOL,
-                "run",
-                folder / "keypoints",
-                "--cameras",
-                folder / "intrinsics.toml",
-                "-o",
-                folder / "out",
-                "--seed",
-                "0",
-                "--accept",
-                "not-determined",
-                "--quiet",
-            )
-        wall = time.perf_counter() - start
-        report = json.loads((folder / "out" / "run.json").read_text())
-        compared = subprocess.run(
-            [TOOL, "evaluate", folder / "out" / "cameras.yaml", "--reference", reference, "--json"],
-            check=True,
-            stdout=subprocess.PIPE,
+        truth = write_scene(folder, cameras, individuals, frames)
+        command = ("run", folder / "keypoints", "--cameras", folder / "reference.toml")
+        command += ("-o", folder / "out", "--quiet", "--accept", "not-determined")
+        wall, processor, megabytes = measure("-m", "mocap_calib_cli", *command)
+        report = json.loads((folder / "out" / "run.json").read_text("utf-8"))
+        error = rotation_errors(mc.read_rig(folder / "out" / "cameras.yaml"), truth)
+        later = [report["seconds"][stage] for stage in ("match all", "triangulate")]
+        spent = (sum(report["seconds"].values()) - sum(later), *later)
+        cells = [frames, *(f"{each:.1f}" for each in spent), report["points"]["triangulated"]]
+        cells += [error, f"{wall:.1f}", f"{processor:.1f}", f"{megabytes / 1000:.2f}"]
+        print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def write_scene(folder: Path, cameras: int, individuals: int, frames: int) -> CameraRig:
+    """Write keypoints as DeepLabCut .h5 and the rig; return the rig."""
+    few = {"cameras": cameras, "people": individuals, "frames": min(PART, frames)}
+    made = mc.simulate(mc.SimulateConfig(**few, false_detections=0.0, shuffle=False))
+    rng = np.random.default_rng(0)
+    forth = np.arange(few["frames"])
+    source = np.resize(np.concatenate([forth, forth[::-1]]), frames)
+    (folder / "keypoints").mkdir(parents=True)
+    for view in made.files:
+        order = rng.permutation(view.positions.shape[1])
+        long = replace(
+            view,
+            frames=np.arange(frames),
+            positions=view.positions[source][:, order],
+            confidence=view.confidence[source][:, order],
+            tracked=True,
         )
-        error = json.loads(compared.stdout)["rotation_error_deg"]
-        seconds, points = report["seconds"], report["points"]["triangulated"]
-        calibration = sum(
-            spent for stage, spent in seconds.items() if stage not in ("match all", "triangulate")
-        )
-        spent = (calibration, seconds["match all"], seconds["triangulate"])
-        cells = (
-            frames,
-            *(f"{one:.1f}" for one in spent),
-            points,
-            f"{points / seconds['triangulate']:.0f}",
-        )
-        used = (
-            f"{error['median']:.3f} / {error['max']:.3f}",
-            *(f"{one:.2f}" for one in (wall, measured.processor, measured.peak)),
-        )
-        print(f"| {' | '.join(map(str, (*cells, *used)))} |", flush=True)
-
-
-class Measured:
-    """Runs one process and knows its peak memory in GB and its processor time in seconds."""
-
-    peak = processor = 0.0
-
-    def __enter__(self) -> "Measured":
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        self.before = used.ru_utime + used.ru_stime
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Return the largest of all children so far.
-
-        Call it for the largest last, or in a process of its own.
-        """
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        self.peak = used.ru_maxrss * 1024 / 1e9
-        self.processor = used.ru_utime + used.ru_stime - self.before
-
-    def run(self, *command: object) -> None:
-        """One command."""
-        subprocess.run([str(part) for part in command], check=True)
-
-
-def write_scene(folder: Path, *, cameras: int, individuals: int, frames: int) -> Path:
-    """Write keypoints as DeepLabCut .h5, intrinsics, and the reference.
-
-    People walk forth and back along the way of the first part.
-
-    Detections are made in parts, because that needs more memory than the run may have.
-    """
-    usual = SimulateConfig()
-    of_people, of_rig, of_detector = np.random.default_rng(0).spawn(3)
-    side = 0.9 * usual.ring_radius
-    bodies = people(
-        of_people,
-        individuals=individuals,
-        frames=min(PART, frames),
-        fps=usual.fps,
-        room=(side, side),
-    )
-    rig = ring_rig(
-        of_rig,
-        cameras=cameras,
-        radius=usual.ring_radius,
-        height=2.2,
-        size=usual.size,
-        distortion="none",
-    )
-    names = LAYOUTS["coco17"]
-    keypoints = folder / "keypoints"
-    keypoints.mkdir(parents=True)
-    order = [of_detector.permutation(individuals) for _ in rig.names]
-    files = [h5py.File(keypoints / f"{name}.h5", "w") for name in rig.names]
-    tables = [dlc_table(file, individuals, names, frames) for file in files]
-    for start in range(0, frames, PART):
-        there = (bodies if start // PART % 2 == 0 else bodies[::-1])[: frames - start]
-        found = detect(
-            of_detector,
-            rig,
-            there,
-            noise_px=usual.noise_px,
-            missing=usual.missing,
-            outliers=usual.outliers,
-            shuffle=False,
-        )
-        for view, table in enumerate(tables):
-            own = np.full((found.identity.shape[1], individuals, len(names), 3), np.nan)
-            frame, instance = np.nonzero(found.identity[view] >= 0)
-            place = frame, order[view][found.identity[view, frame, instance]]
-            own[..., :2][place], own[..., 2][place] = (
-                found.positions[view, frame, instance],
-                found.confidence[view, frame, instance],
-            )
-            table[start : start + PART] = own.reshape(len(own), -1)
-    for file in files:
-        file.close()
-    (folder / "intrinsics.toml").write_text(
-        format_calibration_toml(
-            CameraRig(rig.cameras, 0 * rig.rotation + np.eye(3), 0 * rig.translation, "m"), {}
-        )
-    )
-    (folder / "reference.toml").write_text(format_calibration_toml(rig, {}))
-    return folder / "reference.toml"
-
-
-def dlc_table(file: h5py.File, individuals: int, names: Sequence[str], frames: int) -> h5py.Dataset:
-    """Write pandas' layout `fixed` of a DeepLabCut table.
-
-    Returns the dataset `[frame, column]` of its values.
-    """
-    columns = [
-        ("s", f"animal{who}", name, coord)
-        for who in range(individuals)
-        for name in names
-        for coord in ("x", "y", "likelihood")
-    ]
-    group = file.create_group("predictions")
-    group.attrs["pandas_type"] = np.bytes_(b"frame")
-    for level, (title, labels) in enumerate(
-        zip(
-            ("scorer", "individuals", "bodyparts", "coords"),
-            zip(*columns, strict=True),
-            strict=True,
-        )
-    ):
-        known = sorted(set(labels))
-        for axis in ("axis0", "block0_items"):
-            group[f"{axis}_level{level}"] = np.array(known, dtype="S")
-            group[f"{axis}_level{level}"].attrs["name"] = np.bytes_(title.encode())
-            group[f"{axis}_label{level}"] = np.array(
-                [known.index(label) for label in labels], dtype=np.int8
-            )
-    group["axis1"] = np.arange(frames)
-    values = group.create_dataset("block0_values", (frames, len(columns)), np.float64)
-    values.attrs["transposed"] = 1
-    return values
+        mc.write([long], folder / "keypoints" / f"{view.camera}.h5", format="deeplabcut-h5")
+    mc.write(made.rig, folder / "reference.toml", format="anipose")
+    return made.rig
 
 
 # --- in the library
 
 
-def table(scene: str, grid: Sequence[tuple[int, ...]]) -> None:
-    """Stage times of whole calibrations."""
-    stages = ("lift", "pairwise", "match", "adjust", "match all", "verdict", "triangulate")
-    print(
-        f"| cameras | people | frames | seed | pairs | in the rig | {' | '.join(stages)} "
-        "| all (s) | processor (s) | E_R median / max | peak memory (GB) |"
-    )
-    print("|" + "---|" * (len(stages) + 10))
-    for numbers in grid:
-        asked = (*numbers, 0)[:4]  # the seed
-        done = subprocess.run(
-            [sys.executable, __file__, "child", *map(str, (SCENES.index(scene), *asked))],
-            check=True,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        found = json.loads(done.stdout)
-        spent = " | ".join(f"{found['seconds'][stage]:.2f}" for stage in stages)
-        cells = (
-            *asked,
-            found["pairs"],
-            found["cameras"],
-            spent,
-            f"{found['all']:.1f}",
-            f"{found['processor']:.1f}",
-            f"{found['median']:.3f} / {found['max']:.3f}",
-            f"{found['peak']:.2f}",
-        )
-        print(f"| {' | '.join(map(str, cells))} |", flush=True)
+def print_scenes(scene: str, sizes: Sequence[tuple[int, ...]]) -> None:
+    """Print stage times of whole calibrations."""
+    columns = ("cameras", "people", "frames", "seed", "pairs", "in the rig", *STAGES)
+    print_header((*columns, "all (s)", "processor (s)", "E_R median / max", "peak memory (GB)"))
+    for size in sizes:
+        command = [sys.executable, __file__, scene, *map(str, size), "--child"]
+        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+        print(f"| {' | '.join(map(str, (*size, *json.loads(done.stdout))))} |", flush=True)
 
 
-def child(scene: str, cameras: int, individuals: int, frames: int, seed: int) -> dict[str, Any]:
-    """One calibration, with all that the process has used."""
+def calibrate_scene(
+    scene: str, cameras: int, individuals: int, frames: int, seed: int
+) -> list[Any]:
+    """Calibrate one scene; return the cells of its row after its size."""
     if scene == "ring":
-        config = SimulateConfig(cameras=cameras, people=individuals, frames=frames, seed=seed)
-        made = simulate(config)
+        size = {"cameras": cameras, "people": individuals, "frames": frames, "seed": seed}
+        made = mc.simulate(mc.SimulateConfig(**size))
         files, rig = made.files, made.rig
     else:
-        files, rig = hall(cameras, individuals, frames, seed)
-    recording = make_recording(files, rig.cameras, load_skeleton("people"), {})
-    lifter = load_lifter()[0]
-    start, before = time.perf_counter(), processor_time()
-    result = calibrate(recording, lifter, Config(), seed=0, device="cpu", progress=silent)
+        files, rig = make_hall(cameras, individuals, frames, seed)
+    recording = mc.Recording.from_keypoints(files, rig)
+    start, before = time.perf_counter(), time.process_time()
+    result = mc.calibrate(recording, model="people")
+    wall, processor = time.perf_counter() - start, time.process_time() - before
     found = result.groups[0]
-    wall, processor = time.perf_counter() - start, processor_time() - before
-    error = np.degrees(errors(found.rig, rig))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
-    return {
-        "seconds": found.seconds,
-        "pairs": len(found.pairs) + len(result.unused_pairs),
-        "cameras": len(found.rig),
-        "all": wall,
-        "processor": processor,
-        "median": float(np.median(error)),
-        "max": float(error.max()),
-        "peak": peak,
-    }
+    cells = [len(found.pairs) + len(result.unused_pairs), len(found.rig)]
+    cells += [f"{found.seconds[stage]:.2f}" for stage in STAGES]
+    error = rotation_errors(found.rig, rig)
+    return [*cells, f"{wall:.1f}", f"{processor:.1f}", error, f"{peak:.2f}"]
 
 
-def processor_time() -> float:
-    """Return the processor seconds of this process and of those that it has ended."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + used.ru_utime + used.ru_stime
+def rotation_errors(rig: CameraRig, true: CameraRig) -> str:
+    """Return the median and the largest rotation error of the pairs in degrees."""
+    error = np.degrees(mc.evaluate(rig, true.select(rig.names)).rotation_error)
+    return f"{np.median(error):.3f} / {error.max():.3f}"
 
 
 # --- a hall
 
 
-def hall(
+def make_hall(
     cameras: int, individuals: int, frames: int, seed: int
 ) -> tuple[tuple[Keypoints2D, ...], CameraRig]:
     """Return what detectors make of people in a hall, and the rig of its cameras.
@@ -358,16 +175,11 @@ def hall(
     wall, behind somebody else, or farther away than 9 m. The names of cameras say nothing of where
     they are.
     """
-    usual = SimulateConfig(noise_px=2.0)
+    usual = mc.SimulateConfig(noise_px=2.0)
     of_people, of_rig, of_detector = np.random.default_rng(seed).spawn(3)
     room = (max(8.0, LENGTH_OF_CAMERA * cameras), WIDTH)
-    bodies = people(
-        of_people,
-        individuals=individuals,
-        frames=frames,
-        fps=10.0,
-        room=(room[0] - 2.0, room[1] - 2.0),
-    )
+    inner = (room[0] - 2.0, room[1] - 2.0)
+    bodies = people(of_people, individuals=individuals, frames=frames, fps=10.0, room=inner)
     rig = hall_rig(of_rig, cameras, room, usual.size)
     found = detect(
         of_detector,
@@ -443,14 +255,6 @@ def without_hidden(found: Detections, hides: Bools) -> Detections:
         ),
         identity=np.take_along_axis(np.where(there, found.identity, -1), order, axis=2),
     )
-
-
-def errors(rig: CameraRig, true: CameraRig) -> Floats:
-    """`[pair]` radians between the relative rotations of the cameras that the rig has."""
-    kept = [true.names.index(name) for name in rig.names]
-    a, b = np.array(list(combinations(range(len(kept)), 2))).T
-    first, second = ((r[b] @ np.swapaxes(r[a], 1, 2)) for r in (rig.rotation, true.rotation[kept]))
-    return angle_between(first, second)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The pages of docs/: links lead somewhere, commands exist, and what is shown works."""
+"""The pages: links lead somewhere, commands exist, what is shown works, what is stated holds."""
 
 import ast
 import re
@@ -14,20 +14,31 @@ from urllib.parse import unquote, urlsplit
 
 import click
 import pytest
+from test_documents import load_script
 
 from mocap_calib.config import VERDICT_LIMITS_DEG
+from mocap_calib.report import SCHEMA
+from mocap_calib.results import FAULT_WORDS, VERDICTS
+from mocap_calib.verdict.checks import CHECKS
 from mocap_calib_cli.main import group
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
 SITE = tomllib.loads((ROOT / "zensical.toml").read_text("utf-8"))["project"]
+WRITTEN = [*PAGES, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))]
+NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+
+
+def text(page: Path) -> str:
+    """Return the text of a page."""
+    return page.read_text("utf-8")
 
 
 def blocks(page: Path, *languages: str) -> list[str]:
     """Return the blocks of a page in some languages."""
-    return [text for kind, text in BLOCK.findall(page.read_text("utf-8")) if kind in languages]
+    return [block for kind, block in BLOCK.findall(text(page)) if kind in languages]
 
 
 def listed(entries: list[dict]) -> Iterator[str]:
@@ -46,8 +57,8 @@ def test_every_page_is_in_the_navigation():
 
 def commands(page: Path) -> Iterator[list[str]]:
     """Yield the words of each call of the program in the blocks of a page."""
-    for text in blocks(page, "sh", "text", "console", "bat"):
-        for line in text.replace("\\\n", " ").splitlines():
+    for block in blocks(page, "sh", "text", "console", "bat"):
+        for line in block.replace("\\\n", " ").splitlines():
             if not re.search(r"(^|[|(&] *)(\S*/)?mocap-calib ", line.strip()):
                 continue
             tokens = shlex.shlex(line, posix=True, punctuation_chars="|&<>()")
@@ -87,14 +98,14 @@ def test_the_first_calibration(small, tool, tmp_path):
         assert done.returncode == 0, done.stderr
     assert (folder / "Calib.toml").is_file()
     assert (folder / "people_0.trc").is_file()
-    (code,) = [text for text in blocks(DOCS / "pipelines.md", "python") if "h5py" in text]
+    (code,) = [code for code in blocks(DOCS / "pipelines.md", "python") if "h5py" in code]
     read = subprocess.run(
         [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True
     )
     assert read.stdout.startswith("m ")
 
 
-# --- messages
+# --- statements
 
 
 def constants() -> str:
@@ -111,11 +122,68 @@ def constants() -> str:
     return "\n".join(found)
 
 
-def test_messages_that_are_explained_are_said():
-    rows = re.findall(r"^\| `([^`]+)` \|", (DOCS / "messages.md").read_text("utf-8"), re.MULTILINE)
+def test_messages_that_are_explained_exist():
+    """Refusals keep what follows `expected` as an argument of its own."""
+    rows = re.findall(r"^\| `([^`]+)` \|", text(DOCS / "messages.md"), re.MULTILINE)
     assert len(rows) > 20
     said = constants()
-    assert [row for row in rows if row not in said] == []
+    assert [row for row in rows if row.removeprefix("expected ") not in said] == []
+
+
+def rooms() -> list[str]:
+    """Return the rows of the import contract, the highest first, as the table has them."""
+    (contract,) = (
+        each
+        for each in tomllib.loads(text(ROOT / "pyproject.toml"))["tool"]["importlinter"][
+            "contracts"
+        ]
+        if each["type"] == "layers"
+    )
+    return [", ".join(f"`{room}`" for room in row.split(" | ")) for row in contract["layers"]]
+
+
+def keypoint_formats() -> int:
+    """Return how many formats of keypoints the page lists, which a test of `convert` holds."""
+    table = text(DOCS / "formats.md").split("## Keypoint files")[1].split("### ")[0]
+    return len(re.findall(r"^\| `(?!--)", table, re.MULTILINE))
+
+
+LIMITS = [f"{limit:g}" for limit in VERDICT_LIMITS_DEG]
+# page, pattern of what it states, what holds
+CLAIMS = {
+    "checks": ("README.md", r"residuals\s+in (\w+) ways", lambda: [NUMBERS[len(CHECKS)]]),
+    "checks, us": ("docs/comparison.md", r"camera, (\w+) checks", lambda: [NUMBERS[len(CHECKS)]]),
+    "checks, method": ("docs/method.md", r"and (\w+) checks", lambda: [NUMBERS[len(CHECKS)]]),
+    "verdicts": (
+        "docs/how-good.md",
+        r"\n\| (\w[\w ]+) \| .*\d+ deg(?: and more)? \|",
+        lambda: [*VERDICTS],
+    ),
+    "limits": ("docs/how-good.md", r"\| below (\d+) deg", lambda: LIMITS),
+    "limits, README": ("README.md", r"\| below (\d+) deg", lambda: LIMITS),
+    "limits, report": ("web/src/explain.ts", r"below (\d+)°", lambda: LIMITS),
+    "schema": ("docs/run-json.md", r"version of this file: (\d+)", lambda: [str(SCHEMA)]),
+    "faults": ("docs/run-json.md", r"\n\| `(\w+)` \| [^|\n]+ \|(?=\n)", lambda: [*FAULT_WORDS]),
+    "formats": ("CHANGELOG.md", r"Keypoints in (\d+) formats", lambda: [str(keypoint_formats())]),
+    "rooms": ("CONTRIBUTING.md", r"\n\| (`[^/].*?`) \| ", rooms),
+}
+
+
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_what_pages_state_holds(claim):
+    page, pattern, holds = CLAIMS[claim]
+    assert re.findall(pattern, text(ROOT / page)) == holds()
+
+
+def test_the_page_of_the_command_line_is_current():
+    """`make cli-docs` makes it."""
+    assert load_script(DOCS / "make_cli.py").make_page() == text(DOCS / "cli.md")
+
+
+@pytest.mark.parametrize("page", WRITTEN, ids=lambda page: page.stem)
+def test_files_that_pages_name_exist(page):
+    named = re.findall(r"`((?:mocap_calib|cli|tests|benchmarks|docs|web)/[\w./-]+)[`:]", text(page))
+    assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
 
 
 # --- the site
@@ -173,10 +241,3 @@ def test_links_of_the_site_lead_somewhere(site):
 def test_pages_ask_no_other_server_for_anything(site):
     for path in site.glob("*.html"):
         assert re.findall(r'<(?:script|img|link)[^>]*(?:src|href)="https?:', path.read_text()) == []
-
-
-@pytest.mark.parametrize("page", ["README.md", "docs/how-good.md", "web/src/explain.ts"])
-def test_pages_state_the_limits_of_the_verdict(page):
-    text = (ROOT / page).read_text("utf-8")
-    stated = re.findall(r"below (\d+)(?: deg|°)", text)
-    assert [float(number) for number in stated[:3]] == list(VERDICT_LIMITS_DEG)

@@ -93,7 +93,7 @@ def test_a_person_stands_turns_and_bends_a_knee(people, tmp_path):
 def test_the_file_trains_and_holds_subjects_out(people, tmp_path):
     for name in ("01", "02", "07"):
         write_subject(tmp_path / name, MOTION.replace("ltibia 90 0 0", ""))
-    with pytest.raises(FormatError, match="expected a motion in Acclaim's format"):
+    with pytest.raises(FormatError, match="expected an Acclaim motion"):
         people.collect(tmp_path, 1)  # the last frame lacks a bone
     for name in ("01", "02", "07"):
         (tmp_path / name / f"{name}_01.amc").write_text("1\nroot 0 20 0 0 0 0\n" * 4)

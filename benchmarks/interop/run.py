@@ -19,97 +19,47 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.geometry.lens import pixels_from_points
+import mocap_calib as mc
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.write import write_cameras
-from mocap_calib.io.keypoints.write import write_keypoints
-from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.write import write_poses
-from mocap_calib.results import Poses3D
 from mocap_calib.types import Camera, CameraRig, Keypoints2D
 
 HERE = Path(__file__).parent
-CONSTRAINTS = (
-    HERE.parents[1] / "constraints.txt"
-)  # pins torch to what is no gigabyte of CUDA, should anything ask for it
+CAMERAS = {  # format: ending of its file, "" = a folder
+    **dict.fromkeys(("anipose", "pose2sim", "caliscope", "freemocap"), ".toml"),
+    **dict.fromkeys(("panoptic", "voxelpose", "nerfstudio", "openmvg"), ".json"),
+    **dict.fromkeys(("opencv", "easymocap", "jarvis", "colmap", "colmap-binary"), ""),
+    **{"mocap-calib": ".yaml", "dannce": ".mat", "multiview-calib": ""},
+}
+FISHEYE = ("anipose", "colmap", "colmap-binary", "opencv", "caliscope")
+POSES = {
+    **{"poses-h5": ".h5", "npz": ".npz", "anipose-csv": ".csv", "trc": ".trc", "c3d": ".c3d"},
+    **{"movement-3d": ".nc", "sleap-anipose": ".h5"},
+}
+RATE, INDIVIDUALS = 60.0, ("individual_0", "individual_1")
+CONSTRAINTS = HERE.parents[1] / "constraints.txt"  # torch without CUDA, should anything ask for it
+ANIPOSE = "numpy opencv-contrib-python-headless<5 toml numba scipy tqdm pandas jax"
+POSE2SIM = "numpy opencv-python-headless rtoml scipy pandas matplotlib c3d anytree tqdm lxml"
+CALISCOPE = "numpy opencv-python-headless rtoml scipy pandas pandera av platformdirs"
+SLEAP = "numpy h5py attrs lazy-loader simplejson imageio pandas tqdm shapely click h5netcdf PyYAML"
 # python: version, where the consumer needs another; alone: installed without its dependencies, most
 # of which its readers do not use
-CONSUMERS: dict[str, dict[str, list[str]]] = {
-    "opencv": {"pip": ["opencv-python-headless", "numpy"]},
-    "aniposelib": {
-        "alone": ["aniposelib"],
-        "pip": [
-            "numpy",
-            "opencv-contrib-python-headless<5",
-            "toml",
-            "numba",
-            "scipy",
-            "tqdm",
-            "pandas",
-            "jax",
-        ],
-    },
-    "pycolmap": {"pip": ["pycolmap", "numpy"]},
-    "pose2sim": {
-        "alone": ["pose2sim"],
-        "pip": [
-            "numpy",
-            "opencv-python-headless",
-            "rtoml",
-            "scipy",
-            "pandas",
-            "matplotlib",
-            "c3d",
-            "anytree",
-            "tqdm",
-            "lxml",
-            "statsmodels",
-            "filterpy",
-        ],
-    },
-    "caliscope": {
-        "alone": ["caliscope"],
-        "pip": [
-            "numpy",
-            "opencv-python-headless",
-            "rtoml",
-            "scipy",
-            "pandas",
-            "pandera",
-            "av",
-            "platformdirs",
-        ],
-    },
-    "c3d": {"pip": ["c3d", "numpy"]},
-    "ezc3d": {"pip": ["ezc3d", "numpy"]},
-    "opensim": {"pip": ["opensim", "numpy"]},
-    "xarray": {"pip": ["xarray", "h5netcdf", "h5py", "numpy"]},
+CONSUMERS = {
+    "opencv": {"pip": "opencv-python-headless numpy"},
+    "aniposelib": {"alone": "aniposelib", "pip": ANIPOSE},
+    "pycolmap": {"pip": "pycolmap numpy"},
+    "pose2sim": {"alone": "pose2sim", "pip": f"{POSE2SIM} statsmodels filterpy"},
+    "caliscope": {"alone": "caliscope", "pip": CALISCOPE},
+    "c3d": {"pip": "c3d numpy"},
+    "ezc3d": {"pip": "ezc3d numpy"},
+    "opensim": {"pip": "opensim numpy"},
+    "xarray": {"pip": "xarray h5netcdf h5py numpy"},
     "movement": {
-        "python": ["3.12"],
-        "alone": ["movement"],
-        "pip": ["xarray", "h5netcdf", "h5py", "numpy", "pandas", "attrs", "loguru", "scipy"],
+        "python": "3.12",
+        "alone": "movement",
+        "pip": "xarray h5netcdf h5py numpy pandas attrs loguru scipy",
     },
-    "sleap_io": {
-        "alone": ["sleap-io"],
-        "pip": [
-            "numpy",
-            "h5py",
-            "attrs",
-            "lazy-loader",
-            "simplejson",
-            "imageio",
-            "pandas",
-            "tqdm",
-            "shapely",
-            "click",
-            "h5netcdf",
-            "PyYAML",
-            "scipy",
-        ],
-    },
-    "ndx_pose": {"pip": ["pynwb", "ndx-pose", "numpy", "h5netcdf", "c3d", "PyYAML", "scipy"]},
+    "sleap_io": {"alone": "sleap-io", "pip": f"{SLEAP} scipy"},
+    "ndx_pose": {"pip": "pynwb ndx-pose numpy h5netcdf c3d PyYAML scipy"},
 }
 
 
@@ -124,72 +74,45 @@ def main(scratch: Path, names: list[str]) -> int:
 
 
 def run(scratch: Path, name: str) -> tuple[str, str, bool]:
-    """(consumer, what it says or why it could not be asked, whether that is a failure)."""
-    python = environment(scratch / f"env-{name}", CONSUMERS[name])
+    """Return the consumer, what it prints, and whether it failed."""
+    python = make_environment(scratch / f"env-{name}", CONSUMERS[name])
     if python is None:
         return name, "could not be installed", True
-    done = subprocess.run(
-        [python, HERE / "checks" / f"check_{name}.py", scratch / "files"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    lines = (done.stdout.strip() if done.returncode == 0 else done.stderr.strip()).splitlines() or [
-        "nothing"
-    ]
-    return (
-        name,
-        "; ".join(lines) if done.returncode == 0 else f"FAILED: {lines[-1]}",
-        done.returncode != 0,
-    )
+    command = [python, HERE / "checks" / f"check_{name}.py", scratch / "files"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        return name, f"FAILED: {(done.stderr.strip().splitlines() or ['nothing'])[-1]}", True
+    return name, "; ".join(done.stdout.strip().splitlines()), False
 
 
-def environment(path: Path, needs: dict[str, list[str]]) -> Path | None:
-    """Return the interpreter of an environment with what a consumer needs.
-
-    None where pip cannot make it.
-    """
+def make_environment(path: Path, needs: dict[str, str]) -> Path | None:
+    """Return the interpreter of an environment with a consumer; None where pip cannot make it."""
     python = path / "bin" / "python"
     if (path / "done").exists():
         return python
-    base = shutil.which(f"python{needs['python'][0]}") if "python" in needs else sys.executable
-    if (
-        base is None or subprocess.run([base, "-c", ""], check=False).returncode
-    ):  # pyenv has names of what is not there
-        return None
+    base = shutil.which(f"python{needs['python']}") if "python" in needs else sys.executable
+    if base is None or subprocess.run([base, "-c", ""], check=False).returncode:
+        return None  # pyenv has names of what is not there
     subprocess.run([base, "-m", "venv", "--clear", path], check=True)
+    constraints = CONSTRAINTS
+    if "python" in needs or "opencv" in needs["pip"]:  # other versions of all but torch
+        lines = CONSTRAINTS.read_text("utf-8").splitlines(keepends=True)
+        constraints = path / "constraints.txt"
+        constraints.write_text("".join(line for line in lines if line.startswith("torch=")))
     pip = [python, "-m", "pip", "install", "--disable-pip-version-check", "-q"]
-    safe = (
-        ["-c", CONSTRAINTS]
-        if "python" not in needs and not any("opencv" in each for each in needs["pip"])
-        else ["-c", _torch_only(path)]
-    )
-    for command in (
-        [*pip, *safe, *needs["pip"]],
-        [*pip, "--no-deps", *needs["alone"]] if "alone" in needs else None,
-    ):
-        if command and subprocess.run(command, check=False, stderr=subprocess.DEVNULL).returncode:
+    commands = [[*pip, "-c", constraints, *needs["pip"].split()]]
+    if "alone" in needs:
+        commands.append([*pip, "--no-deps", needs["alone"]])
+    for command in commands:
+        if subprocess.run(command, check=False, stderr=subprocess.DEVNULL).returncode:
             return None
     (path / "done").touch()
     return python
 
 
-def _torch_only(path: Path) -> Path:
-    """Constraints that hold torch alone, for consumers that want other versions of the rest."""
-    file = path / "constraints.txt"
-    file.write_text(
-        "".join(
-            line
-            for line in CONSTRAINTS.read_text().splitlines(keepends=True)
-            if line.startswith("torch=")
-        )
-    )
-    return file
-
-
 def write_files(files: Path) -> None:
     """Write a rig and poses in every format, SLEAP's detections, and what must come out of them."""
-    rig, poses = make_rig(), make_poses()
+    rig, poses, views = make_rig(), make_poses(), make_views()
     fish = replace(
         rig,
         cameras=tuple(
@@ -197,56 +120,28 @@ def write_files(files: Path) -> None:
             for camera in rig.cameras
         ),
     )
-    for each in CAMERA_FORMATS:
-        if each.write is not None and each.name != "4d-association":
-            ending = (
-                ""
-                if each.folder
-                else ".toml"
-                if each.name in ("anipose", "pose2sim", "caliscope", "freemocap")
-                else ".json"
-            )
-            write_cameras(files / f"{each.name}{ending}", rig, each.name)
-    for name, ending in (
-        ("anipose", ".toml"),
-        ("colmap", ""),
-        ("colmap-binary", ""),
-        ("opencv", ""),
-        ("caliscope", ".toml"),
-    ):
-        write_cameras(files / f"{name}-fisheye{ending}", fish, name)
-    for form in POSE_FORMATS:
-        if form.name != "nwb-3d":
-            write_poses(
-                files / f"poses-{form.name}{form.endings[0] if form.endings else '.h5'}",
-                poses,
-                form.name,
-            )
-    views = make_views()
-    write_keypoints(files / "sleap", views, "sleap")
+    files.mkdir(parents=True, exist_ok=True)
+    for name, ending in CAMERAS.items():
+        mc.write(rig, files / f"{name}{ending}", name)
+        if name in FISHEYE:
+            mc.write(fish, files / f"{name}-fisheye{ending}", name)
+    for name, ending in POSES.items():
+        path = files / f"poses-{name}{ending}"
+        mc.write(poses, path, name, fps=RATE, individuals=INDIVIDUALS)
+    mc.write(views, files / "sleap", "sleap")
     points = np.random.default_rng(1).uniform(-0.5, 0.5, size=(20, 3))
     expected = {
         "points": points.tolist(),
         "names": list(rig.names),
-        "rate": poses.rate,
-        "keypoints": list(poses.poses.keypoints),
+        "rate": RATE,
+        "keypoints": list(poses.keypoints),
         "unit": "m",
-    }
-    expected |= {
-        "individuals": list(poses.individuals),
-        "frames": poses.poses.frames.tolist(),
-        "positions": np.nan_to_num(poses.poses.positions, nan=-99.0).tolist(),
-    }
-    for key, each_rig in (("pixels", rig), ("pixels_fisheye", fish)):
-        seen = [
-            pixels_from_points(
-                c, points @ each_rig.rotation[v].T + each_rig.translation[v]
-            ).tolist()
-            for v, c in enumerate(each_rig.cameras)
-        ]
-        expected[key] = seen
-    expected["detections"] = {
-        view.camera: np.nan_to_num(view.positions, nan=-99.0).tolist() for view in views
+        "individuals": list(INDIVIDUALS),
+        "frames": poses.frames.tolist(),
+        "positions": np.nan_to_num(poses.positions, nan=-99.0).tolist(),
+        "pixels": rig.project(points).tolist(),
+        "pixels_fisheye": fish.project(points).tolist(),
+        "detections": {v.camera: np.nan_to_num(v.positions, nan=-99.0).tolist() for v in views},
     }
     (files / "expected.json").write_text(json.dumps(expected))
 
@@ -262,14 +157,14 @@ def make_rig() -> CameraRig:
     return CameraRig(cameras, turns, np.tile([0.1, -0.2, 4.0], (3, 1)), "m")
 
 
-def make_poses() -> PoseFile:
-    """Two individuals, three keypoints, frames 5 to 24, some points missing, metres, 60 Hz."""
+def make_poses() -> mc.Poses3D:
+    """Two individuals, three keypoints, frames 5 to 24, some points missing, metres."""
     rng = np.random.default_rng(0)
     positions = rng.normal(size=(20, 2, 3, 3))
     positions[3, 0, 1] = np.nan
     positions[7, 1] = np.nan
     quality = np.where(np.isfinite(positions[..., 0]), 0.75, np.nan)
-    poses = Poses3D(
+    return mc.Poses3D(
         ("nose", "ear", "tail"),
         np.arange(5, 25),
         positions,
@@ -278,7 +173,6 @@ def make_poses() -> PoseFile:
         quality,
         "m",
     )
-    return PoseFile(poses, 60.0)
 
 
 def make_views() -> tuple[Keypoints2D, ...]:

@@ -57,7 +57,7 @@ class Sizes:
 
     def of_method(self, method: str) -> int:
         """Return how many pairs of views a method gets: some take seconds for each."""
-        if not is_slow(method):
+        if not is_paper(method):
             return self.pairs
         return self.token_pairs if "token" in method else self.slow_pairs
 
@@ -154,13 +154,8 @@ def _detections(sizes: Sizes) -> list[Cell]:
 
 
 def is_paper(method: str) -> bool:
-    """Return whether a method is the paper's solver, which takes long."""
+    """Return whether a method is the paper's solver, which takes seconds a pair."""
     return method.startswith("paper")
-
-
-def is_slow(method: str) -> bool:
-    """Return whether a method takes a second a pair or more, and so has fewer pairs."""
-    return is_paper(method) or method == "five-point-opencv"
 
 
 def is_solver(method: str) -> bool:

@@ -254,12 +254,9 @@ def paper(architecture: str, config: PaperConfig) -> Method:
 
 METHODS: dict[str, Method] = {
     "five-point": five_point(estimate_by_loransac),
-    "five-point-opencv": five_point(opencv(cv2.RANSAC)),
     "all-pairs": all_pairs(estimate_by_loransac),
-    "all-pairs-opencv": all_pairs(opencv(cv2.RANSAC)),
     "five-point-magsac": five_point(opencv(cv2.USAC_MAGSAC)),
     "magsac": all_pairs(opencv(cv2.USAC_MAGSAC)),
-    "procrustes": rival(procrustes, adjusted=False),
     "procrustes-adjusted": rival(procrustes, adjusted=True),
     "sphere": rival(sphere, adjusted=False),
     "sphere-adjusted": rival(sphere, adjusted=True),
@@ -272,8 +269,6 @@ METHODS: dict[str, Method] = {
     "ours": ours(PairwiseConfig()),
     "ours-norays": ours(replace(PairwiseConfig(), loss_widths=())),
     # these are told who is who (`Problem.identities`), which nobody tells the others
-    "procrustes-informed": rival(procrustes, adjusted=False, informed=True),
     "procrustes-adjusted-informed": rival(procrustes, adjusted=True, informed=True),
-    "sphere-informed": rival(sphere, adjusted=False, informed=True),
     "sphere-adjusted-informed": rival(sphere, adjusted=True, informed=True),
 }

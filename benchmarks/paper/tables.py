@@ -21,7 +21,7 @@ from .cells import (
     WRONG,
     Line,
     is_informed,
-    is_slow,
+    is_paper,
 )
 from .methods import METHODS
 from .recordings import RECORDINGS
@@ -91,7 +91,7 @@ def matrix(
         places = {label: results.of(place) for label, place in columns.items()}
         best = {}
         for label, found in places.items():
-            rivals = {m: x for m, x in found.items() if not (is_slow(m) or is_informed(m))}
+            rivals = {m: x for m, x in found.items() if not (is_paper(m) or is_informed(m))}
             if len({line["size"] for line in rivals.values()}) == 1:
                 best[label] = max(rivals, key=lambda method: auc(*errors(rivals[method]), 20))
         rows = []
