@@ -151,7 +151,7 @@ def keypoint_formats() -> int:
 LIMITS = [f"{limit:g}" for limit in VERDICT_LIMITS_DEG]
 # page, pattern of what it states, what holds
 CLAIMS = {
-    "checks": ("README.md", r"residuals\s+in (\w+) ways", lambda: [NUMBERS[len(CHECKS)]]),
+    "checks": ("README.md", r"residuals\s+in\s+(\w+) ways", lambda: [NUMBERS[len(CHECKS)]]),
     "checks, us": ("docs/comparison.md", r"camera, (\w+) checks", lambda: [NUMBERS[len(CHECKS)]]),
     "checks, method": ("docs/method.md", r"and (\w+) checks", lambda: [NUMBERS[len(CHECKS)]]),
     "verdicts": (
