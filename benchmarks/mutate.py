@@ -66,7 +66,7 @@ TESTS += (
 )
 TESTS += COMMAND
 # tests of other packages that hold some modules of these, too
-BESIDE = {"geometry": ("io/test_colmap.py",), "io": ("world/test_place.py",)}
+BESIDE = {"geometry": ("io/test_camera_details.py",), "io": ("world/test_place.py",)}
 PRELOADED = ("cv2", "h5netcdf", "h5py", "hypothesis.extra.numpy", "numba", "pdb", "pycolmap")
 PRELOADED += ("safetensors.torch", "scipy.ndimage", "scipy.optimize", "torch", "xarray", "yaml")
 LOADED = "ignore::pytest.PytestAssertRewriteWarning"  # what pytest says of these

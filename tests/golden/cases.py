@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from command import Outcome, call
-from damage import DAMAGES
-from digests import canonical, digest
+from golden.command import Outcome, call
+from golden.damage import DAMAGES
+from golden.digests import canonical, digest
 
 HERE = Path(__file__).parent
 CORPUS, EXPECTED, MESSAGES = HERE / "corpus", HERE / "expected.json", HERE / "messages.txt"

@@ -23,8 +23,8 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "cli"), str(ROOT / "tests")]
 
-import refusals  # noqa: E402 - of the folders above
-from cases import (  # noqa: E402
+from golden import refusals  # noqa: E402 - of the folders above
+from golden.cases import (  # noqa: E402
     CORPUS,
     EXPECTED,
     MESSAGES,
@@ -34,7 +34,7 @@ from cases import (  # noqa: E402
     conversions,
     damages,
 )
-from command import call  # noqa: E402
+from golden.command import call  # noqa: E402
 
 PLAIN = """format: mocap-calib cameras
 version: 1

@@ -9,8 +9,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from cases import CORPUS
-from command import call
+from golden.cases import CORPUS
+from golden.command import call
 
 RUN = ("run", "scene/keypoints", "--cameras", "scene/intrinsics.toml", "-o", "new")
 BARE = ("run", "scene/keypoints", "-o", "new")

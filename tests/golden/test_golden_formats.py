@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from cases import (
+from golden.cases import (
     CORPUS,
     TARGETS,
     Conversion,
@@ -22,9 +22,9 @@ from cases import (
     load_expected,
     load_messages,
 )
-from command import call
-from digests import canonical, digest
-from refusals import REFUSALS
+from golden.command import call
+from golden.digests import canonical, digest
+from golden.refusals import REFUSALS
 
 ROOT = Path(__file__).parents[2]
 EXPECTED, MESSAGES = load_expected(), load_messages()

@@ -1,8 +1,8 @@
 """What the command says of mistakes: one line, the same as in `messages.txt`, and no file."""
 
 import pytest
-from cases import as_block, load_messages
-from refusals import REFUSALS, lay_out, outcome
+from golden.cases import as_block, load_messages
+from golden.refusals import REFUSALS, lay_out, outcome
 
 MESSAGES = load_messages()
 

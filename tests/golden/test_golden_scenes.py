@@ -12,10 +12,10 @@ from functools import partial
 from itertools import permutations
 from pathlib import Path
 
+import golden.scene_files as files
 import numpy as np
 import pytest
-import scene_files as files
-from command import call
+from golden.command import call
 
 IDENTIFIED = 0.97  # least share of the true detections with the right identity; measured 0.99 to 1
 RESULTS = {"calibration.toml", "cameras.yaml", "matches.csv", "poses3d.h5", "report.html"}

@@ -1,0 +1,460 @@
+"""The laws of camera formats, over one table of what each format carries.
+
+What is written comes back, or is refused in a line without a file; a rig projects alike in all
+formats; other programs project our files as we do.
+"""
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+import yaml
+from golden.command import call
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rigs import assert_same, padded, rigs
+from scipy.io import loadmat
+
+import mocap_calib as mc
+from mocap_calib.types import EstimatedCamera
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+
+class Form(NamedTuple):
+    """What a format carries.
+
+    lengths: of distortions. fisheye, sizes, names, stated: whether it has fisheyes, image sizes,
+    names and a unit. square: one focal length a camera. unit: of its lengths, "" = any. folder:
+    several files. verdict: where the verdict on the rig stands: "comment", "field" or "".
+    """
+
+    lengths: tuple[int, ...] = (0, 4, 5)
+    fisheye: bool = False
+    sizes: bool = True
+    square: bool = False
+    unit: str = ""
+    folder: bool = False
+    verdict: str = "comment"
+    names: bool = True
+    stated: bool = True
+
+
+ANY = (0, 4, 5, 8)
+FORMS = {
+    "mocap-calib": Form(ANY, fisheye=True),
+    "anipose": Form(ANY, fisheye=True),
+    "opencv": Form(ANY, fisheye=True, folder=True),
+    "colmap": Form(ANY, fisheye=True, folder=True),
+    "colmap-binary": Form(ANY, fisheye=True, folder=True, verdict="", stated=False),
+    "caliscope": Form(fisheye=True, unit="m"),
+    "nerfstudio": Form(fisheye=True, verdict="field"),
+    "openmvg": Form(fisheye=True, square=True, verdict="field"),
+    "pose2sim": Form(ANY, unit="m"),
+    "multiview-calib": Form(ANY, folder=True, verdict=""),
+    "freemocap": Form(unit="mm"),
+    "easymocap": Form(unit="m", folder=True),
+    "panoptic": Form(unit="cm", verdict="field"),
+    "jarvis": Form(sizes=False, unit="mm", folder=True),
+    "voxelpose": Form(sizes=False, unit="mm", verdict=""),
+    "dannce": Form(sizes=False, unit="mm", verdict=""),
+    "4d-association": Form((0,), unit="m", verdict="", names=False),
+}
+
+
+def studio(name: str = "anipose", count: int = 3) -> mc.CameraRig:
+    """Return three cameras around a room, which the format carries."""
+    lens = np.zeros(5) if FORMS[name].lengths == (0,) else np.array([-0.1, 0.02, 1e-3, -2e-3, 1e-3])
+    matrix = np.array([[1000.0, 0, 640], [0, 1000, 360], [0, 0, 1]])
+    cameras = tuple(mc.Camera(f"cam{k}", (1280, 720), matrix, lens) for k in range(count))
+    turns = [cv2.Rodrigues(np.array([0.1, angle, 0.05]))[0] for angle in (0.0, 1.5, 3.0)[:count]]
+    return mc.CameraRig(cameras, np.stack(turns), np.tile([0.1, -0.2, 4.0], (count, 1)), "m")
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    return {file.name if path.is_dir() else "": file.read_bytes() for file in files}
+
+
+def carries(form: Form, camera: mc.Camera) -> bool:
+    if camera.fisheye:
+        return form.fisheye and not (form.square and _ratio(camera) > 1e-4)
+    fits = not padded(camera)[max(form.lengths) :].any()
+    return fits and not (form.square and _ratio(camera) > 1e-4)
+
+
+def _ratio(camera: mc.Camera) -> float:
+    return abs(camera.matrix[0, 0] / camera.matrix[1, 1] - 1)
+
+
+@pytest.mark.parametrize("name", FORMS)
+@settings(max_examples=15, deadline=None)
+@given(data=st.data())
+def test_what_is_written_comes_back_or_is_refused_in_a_line(name, data, tmp_path_factory):
+    form, path = FORMS[name], tmp_path_factory.mktemp("rig") / "rig"
+    fitting = rigs(form.lengths, form.fisheye, square=form.square, units=(*METRES, "arbitrary"))
+    rig = data.draw(st.one_of(fitting, fitting, rigs(units=("m",))))
+    kept = all(carries(form, camera) for camera in rig.cameras)
+    if kept and not (form.unit and rig.unit == "arbitrary"):
+        mc.write(rig, path, name)
+        found = mc.read_rig(path)
+        if name in ("opencv", "jarvis"):  # a file a camera
+            rig = rig.select(np.argsort([f"{each}.y" for each in rig.names]))
+        scale = METRES[rig.unit] / METRES[form.unit] if form.unit else 1.0
+        assert found.unit == ((form.unit or rig.unit) if form.stated else "arbitrary")
+        assert_same(rig, found, sizes=form.sizes, names=form.names, scale=scale)
+        return
+    with pytest.raises(mc.MismatchError, match=r"expected .*found") as refused:
+        mc.write(rig, path, name)
+    assert "\n" not in str(refused.value)
+    assert not kept or "mocap-calib scale" in str(refused.value)
+    assert kept or any(f"camera {each}" in str(refused.value) for each in rig.names)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_the_same_rig_projects_alike(name, tmp_path):
+    """1e-6 px at 4 m and f = 1000 px (measured 2e-9); the same bytes each time."""
+    rig = studio(name)
+    for place in "ab":
+        mc.write(rig, tmp_path / place, name)
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    found = mc.read_rig(tmp_path / "a", name)
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, size=(30, 3))
+    scale = METRES[rig.unit] / METRES.get(found.unit, 1.0)
+    np.testing.assert_allclose(
+        found.project(points * scale), rig.project(points), rtol=0, atol=1e-6
+    )
+
+
+# --- other programs: camera matrix, distortion, rotation, translation of each camera
+
+Placed = Iterator[tuple[object, object, object, object]]
+
+
+def _by_storage(path: Path, *keys: str) -> list[np.ndarray]:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    assert storage.isOpened()
+    return [storage.getNode(key).mat() for key in keys]
+
+
+def _by_toml(path: Path) -> Placed:
+    tree = tomllib.loads(path.read_text())
+    for each in tree.get("cameras", tree).values():
+        if "matrix" in each:
+            yield each["matrix"], each["distortions"], each["rotation"], each["translation"]
+
+
+def _by_yaml(path: Path) -> Placed:
+    for each in yaml.safe_load(path.read_text())["cameras"]:
+        yield each["K"], each["distortion"], each["R"], each["t"]
+
+
+def _by_opencv(path: Path) -> Placed:
+    for file in sorted(path.iterdir()):
+        yield _by_storage(file, "camera_matrix", "distortion_coefficients", "R", "T")
+
+
+def _by_jarvis(path: Path) -> Placed:
+    for file in sorted(path.iterdir()):
+        k, d, r, t = _by_storage(file, "intrinsicMatrix", "distortionCoefficients", "R", "T")
+        yield k.T, d, r.T, t
+
+
+def _by_easymocap(path: Path) -> Placed:
+    for name in ("cam0", "cam1", "cam2"):
+        k, d = _by_storage(path / "intri.yml", f"K_{name}", f"dist_{name}")
+        yield k, d, *_by_storage(path / "extri.yml", f"Rot_{name}", f"T_{name}")
+
+
+def _by_multiview(path: Path) -> Placed:
+    for each in json.loads((path / "global_poses.json").read_text()).values():
+        yield each["K"], each["dist"], each["R"], each["t"]
+
+
+def _by_panoptic(path: Path) -> Placed:
+    for each in json.loads(path.read_text())["cameras"]:
+        yield each["K"], each["distCoef"], each["R"], each["t"]
+
+
+def _by_voxelpose(path: Path) -> Placed:
+    for each in json.loads(path.read_text()).values():
+        k = [[each["fx"], 0, each["cx"]], [0, each["fy"], each["cy"]], [0, 0, 1]]
+        (k1, k2, k3), (p1, p2) = np.ravel(each["k"]), np.ravel(each["p"])
+        yield k, [k1, k2, p1, p2, k3], each["R"], -np.array(each["R"]) @ each["T"]
+
+
+def _by_4d(path: Path) -> Placed:
+    for each in json.loads(path.read_text()).values():
+        placed = np.reshape(each["RT"], (3, 4))
+        yield np.reshape(each["K"], (3, 3)), np.zeros(5), placed[:, :3], placed[:, 3]
+
+
+def _by_nerfstudio(path: Path) -> Placed:
+    for each in json.loads(path.read_text())["frames"]:
+        world = np.array(each["transform_matrix"]) @ np.diag([1, -1, -1, 1])  # OpenGL's axes
+        cx, cy = each["cx"] - 0.5, each["cy"] - 0.5
+        k = [[each["fl_x"], 0, cx], [0, each["fl_y"], cy], [0, 0, 1]]
+        inverse = np.linalg.inv(world)
+        d = [each[key] for key in ("k1", "k2", "p1", "p2", "k3")]
+        yield k, d, inverse[:3, :3], inverse[:3, 3]
+
+
+def _by_openmvg(path: Path) -> Placed:
+    tree = json.loads(path.read_text())
+    for lens, placed in zip(tree["intrinsics"], tree["extrinsics"], strict=True):
+        data = lens["value"]["ptr_wrapper"]["data"]
+        f, (cx, cy) = data["focal_length"], data["principal_point"]
+        r, (k1, k2, k3, p1, p2) = np.array(placed["value"]["rotation"]), data["disto_t2"]
+        k = [[f, 0, cx], [0, f, cy], [0, 0, 1]]
+        yield k, [k1, k2, p1, p2, k3], r, -r @ placed["value"]["center"]
+
+
+def _by_matlab(path: Path) -> Placed:
+    for (cell,) in loadmat(path)["params"]:
+        each = cell[0, 0]
+        (k1, k2, k3), (p1, p2) = each["RDistort"][0], each["TDistort"][0]
+        yield each["K"].T, [k1, k2, p1, p2, k3], each["r"].T, each["t"][0]
+
+
+def _by_colmap(path: Path) -> Placed:
+    model = pycolmap.Reconstruction(path)
+    for image in sorted(model.images.values(), key=lambda each: each.name):
+        placed, camera = image.cam_from_world(), model.cameras[image.camera_id]
+        k = camera.calibration_matrix() - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+        d = camera.params[4:]
+        yield k, d, placed.rotation.matrix(), placed.translation
+
+
+OTHERS = {
+    "mocap-calib": _by_yaml,
+    **dict.fromkeys(("anipose", "pose2sim", "caliscope", "freemocap"), _by_toml),
+    **dict.fromkeys(("colmap", "colmap-binary"), _by_colmap),
+    "opencv": _by_opencv,
+    "jarvis": _by_jarvis,
+    "easymocap": _by_easymocap,
+    "multiview-calib": _by_multiview,
+    "panoptic": _by_panoptic,
+    "voxelpose": _by_voxelpose,
+    "4d-association": _by_4d,
+    "nerfstudio": _by_nerfstudio,
+    "openmvg": _by_openmvg,
+    "dannce": _by_matlab,
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_another_program_projects_our_files_as_we_do(name, tmp_path):
+    """1e-6 px at f = 1000 px (measured 3e-13); pixels of COLMAP and nerfstudio are half more."""
+    rig = studio(name)
+    mc.write(rig, tmp_path / "out", name)
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, size=(20, 3))
+    scale = 1 / METRES[FORMS[name].unit or "m"]
+    placed = [
+        [np.array(each, dtype=float) for each in one] for one in OTHERS[name](tmp_path / "out")
+    ]
+    assert len(placed) == 3
+    for (k, d, r, t), expected in zip(placed, rig.project(points), strict=True):
+        vector = cv2.Rodrigues(r)[0] if r.size == 9 else r
+        found, _ = cv2.projectPoints(points * scale, vector, t, k, d)
+        np.testing.assert_allclose(found[:, 0], expected, rtol=0, atol=1e-6)
+
+
+def test_fisheyes_are_opencv_s(tmp_path):
+    """And COLMAP's; 1e-6 px (measured 3e-13)."""
+    lens = np.array([0.02, -0.01, 2e-3, 1e-3])
+    cameras = [replace(each, distortion=lens, fisheye=True) for each in studio().cameras]
+    rig = replace(studio(), cameras=tuple(cameras))
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, size=(20, 3))
+    for name in ("opencv", "colmap"):
+        mc.write(rig, tmp_path / name, name)
+        for (k, d, r, t), expected in zip(
+            OTHERS[name](tmp_path / name), rig.project(points), strict=True
+        ):
+            vector = cv2.Rodrigues(r)[0]
+            found, _ = cv2.fisheye.projectPoints(
+                points[:, None], vector, np.ravel(t), k, np.ravel(d)
+            )
+            np.testing.assert_allclose(found[:, 0], expected, rtol=0, atol=1e-6)
+
+
+# --- verdicts, estimates, zeros and units
+
+SIGMA = 12.34
+ADVICE = "# mocap-calib: this rig is not determined: do not measure with it"
+JUDGED = {
+    "adjusted": True,
+    "verdict": "not determined",
+    "remarks": ["inconsistent: zo\u00eb's: 'left'"],
+    "reprojection_error_px": 3.25,
+    "centre_sigma_percent": {"zo\u00eb's": 1.5, "1": 0.25},
+    "rotation_sigma_deg": {"zo\u00eb's": 0.5},
+}
+
+
+def judged(folder: Path, provenance: dict, name: str = "anipose") -> Path:
+    """Write the studio as our own file with this provenance."""
+    mc.write(studio(name), folder / "judged.yaml")
+    tree = yaml.safe_load((folder / "judged.yaml").read_text("utf-8"))
+    (folder / "judged.yaml").write_text(yaml.safe_dump(tree | {"provenance": provenance}), "utf-8")
+    return folder / "judged.yaml"
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_the_verdict_goes_with_the_rig_wherever_there_is_room(name, tmp_path):
+    """A conversion hands it on; where there is no room, it reports the loss."""
+    judged(tmp_path, JUDGED, name)
+    done = call("convert", "judged.yaml", "out", "--to", name, folder=tmp_path)
+    assert done.status == 0
+    room = FORMS[name].verdict
+    assert any("the verdict on the rig" in line for line in done.stderr) == (not room)
+    for content in contents(tmp_path / "out").values():
+        assert (ADVICE.encode() in content) == (room == "comment")
+    unit = () if FORMS[name].stated else ("--input-unit", "m")
+    done = call("convert", "out", "again.yaml", *unit, folder=tmp_path)
+    assert done.status == 0
+    said = yaml.safe_load((tmp_path / "again.yaml").read_text("utf-8"))["provenance"]
+    kept = {key: said[key] for key in JUDGED if key in said}
+    short = {key: JUDGED[key] for key in ("adjusted", "verdict", "remarks")}
+    assert kept in ((JUDGED, short) if room else ({},))
+
+
+@pytest.mark.parametrize(
+    ("edited", "kept"),
+    [
+        ("nothing of the kind", {}),
+        ({"verdict": "excellent", "adjusted": "yes"}, {}),
+        ({"remarks": ["a\nb: 1", 3, "fine"]}, {"remarks": ["fine"]}),
+        ({"reprojection_error_px": float("nan")}, {}),
+        ({"centre_sigma_percent": {"cam0": 1.0}}, {"centre_sigma_percent": {"cam0": 1.0}}),
+        ({"centre_sigma_percent": {"cam0": -1.0}}, {}),
+        ({"rotation_sigma_deg": {"cam0": 1.0, "cam1": "small"}}, {}),
+        ({"frames": [9, 3]}, {}),
+    ],
+)
+def test_an_edited_verdict_is_not_handed_on(edited, kept, tmp_path):
+    judged(tmp_path, edited)
+    assert call("convert", "judged.yaml", "out.toml", folder=tmp_path).status == 0
+    text = (tmp_path / "out.toml").read_text("utf-8")
+    said = tomllib.loads(text)["metadata"]["provenance"]
+    assert {key: said[key] for key in JUDGED | {"frames": 0} if key in said} == kept
+    assert "this rig is" not in text
+
+
+def test_a_comment_of_another_word_is_no_verdict(tmp_path):
+    mc.write(studio(), tmp_path / "a.toml")
+    content = (tmp_path / "a.toml").read_text()
+    (tmp_path / "a.toml").write_text("# mocap-calib: this rig is splendid\n#   remark\n" + content)
+    assert call("convert", "a.toml", "b.yaml", folder=tmp_path).status == 0
+    assert "splendid" not in (tmp_path / "b.yaml").read_text()
+
+
+@pytest.mark.parametrize("unit", ["m", "mm", "arbitrary"])
+def test_centres_are_as_sure_as_percents_of_the_rig_in_its_unit(unit, tmp_path):
+    """Two cameras: the size of the rig is half of their distance. An arbitrary unit has none."""
+    rig = studio(count=2)
+    rig = rig.scale(1000.0, "mm") if unit == "mm" else replace(rig, unit=unit)
+    path = judged(tmp_path, {"adjusted": True, "verdict": "usable"})
+    mc.write(rig, tmp_path / "rig.yaml")
+    tree = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    tree["provenance"] = JUDGED | {"centre_sigma_percent": {"cam0": 2.0, "cam1": 4.0}}
+    path.write_text(yaml.safe_dump(tree))
+    assert call("convert", "judged.yaml", "out.yaml", folder=tmp_path).status == 0
+    cameras = yaml.safe_load((tmp_path / "out.yaml").read_text())["cameras"]
+    sure = [each.get("centre_sigma") for each in cameras]
+    size = np.linalg.norm(rig.centres[1] - rig.centres[0]) / 2
+    if unit == "arbitrary":
+        assert sure == [None, None]
+    else:
+        np.testing.assert_allclose(sure, [0.02 * size, 0.04 * size], rtol=0.005)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_estimated_intrinsics_are_marked(name, tmp_path):
+    first, *others = studio(name).cameras
+    fields = {key: getattr(first, key) for key in mc.Camera.__dataclass_fields__}
+    estimated = EstimatedCamera(**fields, focal_sigma=SIGMA, k1_sigma=0.02 * (name == "anipose"))
+    mc.write(replace(studio(name), cameras=(estimated, *others)), tmp_path / "out", name)
+    for content in contents(tmp_path / "out").values():
+        said = (
+            "camera cam0: intrinsics estimated from the recording, focal length 1000.0 +- 12.3 px"
+        )
+        assert (said.encode() in content) == (FORMS[name].verdict == "comment")
+    back, other, _ = mc.read_cameras(tmp_path / "out")
+    if name == "mocap-calib":
+        assert (back.focal_sigma, back.k1_sigma) == (SIGMA, 0.0)
+        assert type(other) is mc.Camera
+    if name == "anipose":
+        metadata = tomllib.loads((tmp_path / "out").read_text())["metadata"]
+        expected = {"cam0": {"focal_sigma": SIGMA, "k1_sigma": 0.02}}
+        assert metadata["estimated_intrinsics"] == expected
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_no_zero_of_a_text_has_a_sign(name, tmp_path):
+    """Not those that come of a product, such as the centre of a camera at the origin."""
+    rig = studio(name)
+    zeros = np.full((3, 3), -0.0)
+    still = replace(rig, rotation=np.stack([np.eye(3)] * 3), translation=zeros)
+    mc.write(still, tmp_path / "out", name)
+    for content in contents(tmp_path / "out").values():
+        assert not re.search(rb"-0(\.0*)?(?![\d.e])", content)
+
+
+def test_a_unit_is_never_assumed_and_the_user_does_not_contradict_the_file(tmp_path):
+    mc.write(studio(), tmp_path / "a.toml")
+    assert mc.read_rig(tmp_path / "a.toml", unit="m").unit == "m"
+    with pytest.raises(mc.MismatchError, match="as the file says"):
+        mc.read_rig(tmp_path / "a.toml", unit="mm")
+    mc.write(replace(studio(), unit="arbitrary"), tmp_path / "b.toml")
+    with pytest.raises(mc.MismatchError, match="never scaled"):
+        mc.read_rig(tmp_path / "b.toml", unit="mm")
+    text = (tmp_path / "b.toml").read_text()
+    for name, unit in (("c", ""), ("d", 'unit = "feet"')):
+        (tmp_path / f"{name}.toml").write_text(text.replace('unit = "arbitrary"', unit))
+    assert mc.read_rig(tmp_path / "c.toml", unit="mm").unit == "mm"
+    with pytest.raises(mc.FormatError, match="a unit of length"):
+        mc.read_rig(tmp_path / "d.toml")
+
+
+def test_names_that_are_lost_are_reported(tmp_path):
+    """Where cameras are counted from 0, and are not called so."""
+    rig = studio("4d-association")
+    named = [replace(each, name=str(k)) for k, each in enumerate(rig.cameras)]
+    assert mc.write(rig, tmp_path / "a.json", "4d-association")
+    assert not mc.write(replace(rig, cameras=tuple(named)), tmp_path / "b.json", "4d-association")
+
+
+@pytest.mark.parametrize("name", [name for name, form in FORMS.items() if form.folder])
+def test_a_folder_with_another_rig_is_refused(name, tmp_path):
+    """Its files would be read along, whatever their endings."""
+    for _ in range(2):
+        mc.write(studio("opencv"), tmp_path / "cams", "opencv")
+    cameras = [replace(each, name=f"other{k}") for k, each in enumerate(studio().cameras)]
+    before = contents(tmp_path / "cams")
+    with pytest.raises(mc.MismatchError, match=r"cam0\.yml"):
+        mc.write(replace(studio(), cameras=tuple(cameras)), tmp_path / "cams", name)
+    assert contents(tmp_path / "cams") == before
+
+
+def test_the_folder_of_a_run_is_its_cameras(tmp_path):
+    rig = studio()
+    mc.write(rig, tmp_path / "cameras.yaml")
+    mc.write(replace(rig, translation=-rig.translation), tmp_path / "calibration.toml")
+    (tmp_path / "run.json").write_text("{}")
+    assert_same(rig, mc.read_rig(tmp_path))
+
+
+def test_the_table_has_every_format_that_is_written():
+    with pytest.raises(mc.MismatchError) as refused:
+        mc.write(studio(), "x", "no such format")
+    named = set(re.search(r"formats (.+), found", str(refused.value))[1].split(", "))
+    assert named - {"kalibr", "ros"} == set(FORMS) == set(OTHERS)
