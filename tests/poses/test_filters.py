@@ -1,64 +1,94 @@
-"""The classic filters, on motions whose filtered form is known."""
+"""The classic filters, through the command, on motions whose filtered form is known."""
 
 import numpy as np
 import pytest
 
-from mocap_calib.config import FilterConfig
-from mocap_calib.errors import MismatchError
-from mocap_calib.io.poses.common import bare_poses
-from mocap_calib.poses.filters import filter_poses
+import mocap_calib as mc
+
+FPS = 100.0
 
 
-def wave(hertz: float, fps: float = 100.0, frames: int = 1000) -> np.ndarray:
-    """`[frame, 1, 1, 3]` a joint that swings."""
-    swing = np.sin(2 * np.pi * hertz * np.arange(frames) / fps)
-    return np.repeat(swing[:, None, None, None], 3, axis=-1)
+def wave(hertz: float, frames: int = 1000) -> np.ndarray:
+    """`[frame, 3]` a joint that swings."""
+    swing = np.sin(2 * np.pi * hertz * np.arange(frames) / FPS)
+    return np.repeat(swing[:, None], 3, axis=1)
 
 
-def filtered(positions: np.ndarray, config: FilterConfig, fps: float | None = 100.0) -> np.ndarray:
-    frames = np.arange(len(positions))
-    poses = bare_poses(("joint",), frames, positions, unit="m")
-    return filter_poses(poses, config, fps=fps).positions
+@pytest.fixture
+def filtered(tool, tmp_path):
+    """Filters points `[frame, 3]` of one joint by the command."""
+
+    def run(points: np.ndarray, *words: object, frames: np.ndarray | None = None) -> np.ndarray:
+        numbers = np.arange(len(points)) if frames is None else frames
+        full = np.ones((len(points), 1, 1))
+        poses = mc.Poses3D(["joint"], numbers, points[:, None, None], full, full, full, "m")
+        mc.write(poses, tmp_path / "given.npz")
+        said = tool("filter", tmp_path / "given.npz", "-o", tmp_path / "out.npz", *words)
+        assert (said.returncode, said.stderr) == (0, "")
+        found = mc.read_poses(tmp_path / "out.npz")
+        assert found.keypoints == poses.keypoints
+        np.testing.assert_array_equal(found.frames, numbers)
+        return found.positions[:, 0, 0]
+
+    return run
 
 
 @pytest.mark.parametrize(("hertz", "gain"), [(1.0, 1.0), (6.0, 0.7071), (30.0, 0.0)])
-def test_butterworth_has_its_cutoff_and_no_delay(hertz, gain):
-    found = filtered(wave(hertz), FilterConfig(order=4, cutoff=6.0))
+def test_butterworth_has_its_cutoff_and_no_delay(filtered, hertz, gain):
+    found = filtered(wave(hertz), "--order", 4, "--cutoff", 6, "--fps", FPS)
     middle = slice(200, 800)
     assert np.allclose(found[middle], gain * wave(hertz)[middle], atol=2e-3)
 
 
-def test_savgol_keeps_a_polynomial_and_median_drops_a_spike():
+def test_savgol_keeps_a_polynomial_and_median_drops_a_spike(filtered):
     time = np.linspace(-1, 1, 50)
-    cubic = np.repeat((time**3 - time)[:, None, None, None], 3, axis=-1)
-    assert np.allclose(filtered(cubic, FilterConfig(method="savgol")), cubic)
+    cubic = np.repeat((time**3 - time)[:, None], 3, axis=1)
+    assert np.allclose(filtered(cubic, "--method", "savgol"), cubic)
     spiky = cubic.copy()
     spiky[20] += 5
-    assert np.abs(filtered(spiky, FilterConfig(method="median")) - cubic).max() < 0.2
+    assert np.abs(filtered(spiky, "--method", "median") - cubic).max() < 0.2
 
 
-def test_nothing_passes_a_gap():
-    positions = wave(1.0)
-    positions[400:410] = np.nan
-    positions[410:] += 100
-    found = filtered(positions, FilterConfig())
-    assert (np.isnan(found) == np.isnan(positions)).all()
-    assert np.nanmax(np.abs(found - positions)) < 0.1
+@pytest.mark.parametrize("missing", [True, False])
+def test_nothing_passes_a_gap(filtered, missing):
+    """Of points that are missing, and of frames that are not there."""
+    points, frames = wave(1.0), np.arange(1000)
+    points[410:] += 100
+    if missing:
+        points[400:410] = np.nan
+    else:
+        points, frames = (
+            np.delete(points, np.s_[400:410], axis=0),
+            np.delete(frames, np.s_[400:410]),
+        )
+    found = filtered(points, "--fps", FPS, frames=frames)
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(points))
+    assert np.nanmax(np.abs(found - points)) < 0.1
 
 
-def test_a_piece_shorter_than_the_filter_stays():
-    positions = wave(1.0, frames=5)
-    assert np.array_equal(filtered(positions, FilterConfig()), positions)
+def test_a_piece_shorter_than_the_filter_stays(filtered):
+    points = wave(1.0, frames=5)
+    np.testing.assert_array_equal(filtered(points, "--fps", FPS), points)
 
 
 @pytest.mark.parametrize(
-    ("config", "fps", "says"),
+    ("words", "status"),
     [
-        (FilterConfig(), None, "give --fps"),
-        (FilterConfig(cutoff=60.0), 100.0, "below 50 Hz"),
-        (FilterConfig(method="savgol", window=3), None, "longer window"),
+        ((), 1),  # no rate
+        (("--cutoff", 60, "--fps", FPS), 1),
+        (("--method", "savgol", "--window", 3), 1),
+        (("--method", "median", "--window", 2001), 1),
+        (("--method", "median", "--window", 4), 2),
+        (("--order", 3, "--fps", FPS), 2),
     ],
 )
-def test_a_filter_that_cannot_be_is_refused(config, fps, says):
-    with pytest.raises(MismatchError, match=says):
-        filtered(wave(1.0), config, fps)
+def test_a_filter_that_cannot_be_is_refused_in_one_line(tool, tmp_path, words, status):
+    full = np.ones((50, 1, 1))
+    mc.write(
+        mc.Poses3D(["a"], np.arange(50), wave(1.0, 50)[:, None, None], full, full, full, "m"),
+        tmp_path / "given.npz",
+    )
+    said = tool("filter", tmp_path / "given.npz", "-o", tmp_path / "out.npz", *words)
+    assert said.returncode == status
+    assert "expected" in said.stderr.splitlines()[-1]
+    assert not (tmp_path / "out.npz").exists()
