@@ -1,27 +1,77 @@
-"""`inspect`: its numbers of files whose content is known, as text and as JSON; its exit status."""
+"""`inspect`: its numbers of files whose content is known, and what stands in the way of a run."""
 
 import json
-from dataclasses import replace
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from keypoint_files import coco_bytes
+from scenes import scene
 
-from mocap_calib.inspection import fill_image_sizes, find_problems, inspect_views
-from mocap_calib.inspection.finding import InspectConfig
-from mocap_calib.io.cameras.write import write_cameras
-from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.types import Camera, CameraRig, Keypoints2D
-from mocap_calib_cli.commands.inspect import _describe
+import mocap_calib as mc
 
 NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 SIZE = (640, 480)
-PEOPLE = load_skeleton("people")
+
+
+@dataclass(frozen=True)
+class Inspected:
+    """What the command said, as JSON, and its exit status."""
+
+    report: dict
+    status: int
+
+    @property
+    def findings(self) -> list[tuple[bool, str]]:
+        """Whether each is critical, and its message."""
+        return [(each["level"] == "CRITICAL", each["message"]) for each in self.report["findings"]]
+
+    def warnings(self, word: str) -> list[str]:
+        """Return the messages of those with a word that are not critical."""
+        return [text for critical, text in self.findings if word in text and not critical]
+
+    @property
+    def critical(self) -> bool:
+        return any(critical for critical, _ in self.findings)
+
+
+Inspect = Callable[..., Inspected]
+
+
+@pytest.fixture
+def inspect(tool, tmp_path) -> Inspect:
+    """Writes views as COCO, and what else is given, and inspects the folder."""
+
+    def run(
+        views: Sequence[mc.Keypoints2D],
+        cameras: Sequence[mc.Camera] = (),
+        aliases: dict[str, str] | None = None,
+    ) -> Inspected:
+        mc.write(views, tmp_path / "keypoints", format="coco")
+        words: list[object] = []
+        if cameras:
+            still = np.stack([np.eye(3)] * len(cameras))
+            apart = np.arange(3.0 * len(cameras)).reshape(-1, 3)
+            mc.write(mc.CameraRig(list(cameras), still, apart, "m"), tmp_path / "rig.toml")
+            words += ["--cameras", tmp_path / "rig.toml"]
+        if aliases:
+            pairs = ", ".join(f"{name}: {joint}" for name, joint in aliases.items())
+            (tmp_path / "own.yaml").write_text(f"aliases: {{{pairs}}}")
+            words += ["--skeleton", tmp_path / "own.yaml"]
+        done: subprocess.CompletedProcess = tool(
+            "inspect", tmp_path / "keypoints", "--json", *words
+        )
+        assert done.stderr == ""
+        return Inspected(json.loads(done.stdout), done.returncode)
+
+    return run
 
 
 def view(camera="a", frames=range(40), instances=1, seed=0, names=NAMES, size=SIZE):
+    """Detections at random places of the image."""
     positions = np.random.default_rng(seed).uniform(5, 470, (len(frames), instances, len(names), 2))
-    return Keypoints2D(
+    return mc.Keypoints2D(
         camera,
         names,
         np.array(frames),
@@ -34,214 +84,265 @@ def view(camera="a", frames=range(40), instances=1, seed=0, names=NAMES, size=SI
 
 
 def camera(name, size=SIZE):
-    return Camera(
-        name, size, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5), False
-    )
+    return mc.Camera(name, size, [[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
 
 
-def report_of(*views, aliases=None):
-    return inspect_views(views, PEOPLE, aliases or {}, InspectConfig())
+# --- numbers
 
 
-def found_in(views, cameras=(), aliases=None):
-    return find_problems(
-        views,
-        report_of(*views, aliases=aliases),
-        cameras=cameras,
-        skeleton=PEOPLE,
-        aliases=aliases or {},
-        config=InspectConfig(),
-    )
-
-
-def test_the_numbers_are_those_of_the_files():
+def test_the_numbers_are_those_of_the_files(inspect):
     first = view(frames=[3, 4, 10, 11], instances=2)
     first.positions[1, 1], first.positions[3] = np.nan, np.nan
     first.positions[:, :, 4] = np.nan
-    report = report_of(first, view("b", frames=[4, 10, 12]))
+    report = inspect([first, view("b", frames=[4, 10, 12])]).report
     found = report["cameras"][0]
-    assert found["frames"] == {"count": 4, "first": 3, "last": 11, "gaps": [[5, 9]]}
-    assert (found["detections"], found["most_at_once"], found["empty_frames"], found["points"]) == (
-        5,
-        2,
-        1,
-        20,
-    )
+    assert (found["frames"]["first"], found["frames"]["gaps"][0]) == (3, [5, 9])
+    assert (found["detections"], found["most_at_once"], found["points"]) == (5, 2, 20)
     assert (found["never_seen"], found["followed"]) == (["right_ear"], False)
-    assert found["confidence"] == {"least": 0.8, "median": 0.8, "most": 0.8}
-    assert report["pairs"] == [{"a": "a", "b": "b", "frames": 2, "covisible": 2, "joints": 5}]
+    assert found["confidence"] == pytest.approx({"least": 0.8, "median": 0.8, "most": 0.8})
+    (pair,) = report["pairs"]
+    assert (pair["frames"], pair["covisible"], pair["joints"]) == (2, 2, 5)
     assert report["model"] == {"name": "people", "knows": 5, "unknown": []}
 
 
-def test_coverage_is_that_of_the_image():
+def test_coverage_is_that_of_the_image(inspect):
     corner = view(frames=range(400), size=(1000, 1000))
     corner.positions[:] = corner.positions % 200  # a fifth each way
-    assert report_of(corner)["cameras"][0]["image"]["covered"] == pytest.approx(0.04)
+    image = inspect([corner]).report["cameras"][0]["image"]
+    assert image["covered"] == pytest.approx(0.04)
     corner.positions[0] = 1500.0
-    assert report_of(corner)["cameras"][0]["image"]["outside"] == pytest.approx(1 / 400)
+    image = inspect([corner]).report["cameras"][0]["image"]
+    assert image["outside"] == pytest.approx(1 / 400)
 
 
-def test_the_cameras_say_the_size_of_images_that_the_files_do_not():
-    views = fill_image_sizes(
-        [view("a", size=(0, 0)), view("b", size=(0, 0)), view("Cam_1")],
-        (camera("A"), camera("cam1", (8, 8))),
-    )
-    assert [each.image_size for each in views] == [SIZE, (0, 0), SIZE]
-
-
-@pytest.mark.parametrize("frames", [0, 1])
-def test_views_without_anything_are_reported_and_not_divided_by(frames):
-    empty = view(frames=range(frames))
-    empty.positions[:] = np.nan
-    report = report_of(empty, empty)
-    assert report["cameras"][0]["image"]["covered"] == 0
-    assert any(
-        each.critical
-        for each in found_in([empty, replace(empty, camera="b")], (camera("a"), camera("b")))
-    )
-
-
-def test_a_good_recording_has_nothing_in_its_way():
-    assert found_in([view("a"), view("b", seed=1)], (camera("a"), camera("b"))) == ()
-
-
-def test_what_a_run_would_refuse_is_critical():
-    views = [view("a"), view("b", seed=1)]
-    for cameras in ((camera("a"), camera("c")), (camera("a"), camera("b", (480, 640)))):
-        assert any(each.critical for each in found_in(views, cameras))
-
-
-def test_a_camera_that_sees_nothing_with_others_is_named():
-    views = [view("a"), view("b", seed=1), view("c", frames=range(100, 140), seed=2)]
-    found = found_in(views)
-    assert any(each.message.startswith("c: sees nothing in a frame") for each in found)
-    assert not any(each.critical for each in found)
-
-
-def test_names_count_by_what_they_mean_as_in_a_run():
-    """The run takes other spellings and aliases for the joint.
-
-    So do the pairs, the model and the findings.
-    """
+def test_names_count_by_what_they_mean_as_in_a_run(inspect):
+    """Other spellings and aliases are the joint for pairs, the model and the findings."""
     own = [f"{side}{k}" for side in "qw" for k in range(5)]
     views = [view("a", names=tuple(own[:5])), view("b", names=tuple(own[5:]), seed=1)]
-    assert [each.critical for each in found_in(views)] == [True]
+    assert inspect(views).critical
     aliases = dict(zip(own, NAMES * 2, strict=True))
-    report = report_of(*views, aliases=aliases)
-    assert (report["model"], report["pairs"][0]["joints"]) == (
-        {"name": "people", "knows": 5, "unknown": []},
-        5,
-    )
-    assert found_in(views, (camera("a"), camera("b")), aliases) == ()
+    found = inspect(views, (camera("a"), camera("b")), aliases)
+    assert (found.report["model"]["knows"], found.report["pairs"][0]["joints"]) == (5, 5)
+    assert not found.critical
     spelled = replace(views[1], keypoints=("Nose", "LEye", "reye", "ear_l", "Right Ear"))
-    assert report_of(view("a"), spelled)["model"]["knows"] == 5
+    assert inspect([view("a"), spelled]).report["model"]["knows"] == 5
+    others = dict(zip(own, ("chin", "head", "neck_base", "croup", "nose") * 2, strict=True))
+    assert inspect(views, (), others).report["model"]["name"] == "quadruped"
 
 
-def test_too_few_joints_in_common_are_critical_as_in_a_run():
-    few = [view("a", names=NAMES[:4]), view("b", names=NAMES[1:], seed=1)]
-    for views in (few, [replace(each, keypoints=("x", *each.keypoints[1:])) for each in few]):
-        assert any(
-            each.critical and "at least 4 joints" in each.message for each in found_in(views)
-        )
+# --- what a run would refuse
 
 
-def test_a_crowd_that_no_model_knows_is_critical_as_in_a_run():
-    views = [
-        view(name, instances=2, names=("q", "r", "s", "t", "u"), seed=k)
-        for k, name in enumerate("ab")
-    ]
-    assert any(
-        each.critical and "joint names that the model knows" in each.message
-        for each in found_in(views, (camera("a"), camera("b")))
-    )
+def test_a_good_recording_has_nothing_in_its_way(inspect, tool, tmp_path):
+    found = inspect([view("a"), view("b", seed=1)], (camera("a"), camera("b")))
+    assert (found.findings, found.status) == ([], 0)
+    said = tool("inspect", tmp_path / "keypoints").stdout
+    for heading in ("range", "gaps", "followed", "missing", "score", "covered"):  # explained once
+        assert sum(line.startswith(f"{heading:<10}  ") for line in said.splitlines()) == 1
 
 
-def test_a_camera_without_a_point_is_named_once(tmp_path, tool):
-    blind = view("c", seed=2)
-    blind.positions[:] = np.nan
-    messages = [
-        each.message
-        for each in found_in([view("a"), view("b", seed=1), blind], tuple(map(camera, "abc")))
-        if each.message.startswith("c:")
-    ]
-    assert len(messages) == 1
-    assert "it will be left out" in messages[0]
-    (tmp_path / "c.csv").write_text("frame,keypoint,x,y\n0,nose,,\n")
-    row = next(
-        line for line in tool("inspect", tmp_path).stdout.splitlines() if line.startswith("c ")
-    )
-    assert "100%" in row
+@pytest.mark.parametrize(
+    ("first", "second", "cameras"),
+    [
+        ({}, {}, (camera("a"), camera("c"))),  # none of its cameras
+        ({}, {}, (camera("a"), camera("b", (480, 640)))),  # of another size
+        ({"names": NAMES[:4]}, {"names": NAMES[1:]}, ()),  # three joints in common
+        (  # a crowd that no model knows
+            {"instances": 2, "names": ("q", "r", "s", "t", "u")},
+            {"instances": 2, "names": ("q", "r", "s", "t", "u")},
+            (camera("a"), camera("b")),
+        ),
+    ],
+)
+def test_what_a_run_would_refuse_is_critical(inspect, tool, tmp_path, first, second, cameras):
+    """And the run refuses it."""
+    found = inspect([view("a", **first), view("b", seed=1, **second)], cameras)
+    assert found.critical
+    assert found.status == 1
+    words = ("--cameras", tmp_path / "rig.toml") if cameras else ("--image-size", "640x480")
+    run = tool("run", tmp_path / "keypoints", *words, "-o", tmp_path / "out")
+    assert run.returncode == 1
+    assert not (tmp_path / "out" / "run.json").exists()
 
 
-def test_inspect_takes_the_skeleton_and_the_cameras_as_a_run_does(tmp_path, tool):
-    """Aliases of joints that the first model does not have are understood.
-
-    Two cameras in one place are a finding, and stderr is empty.
-    """
-    (tmp_path / "keypoints").mkdir()
-    for name in "ab":
-        one = view(name, seed=ord(name), names=tuple(f"q{k}" for k in range(5)))
-        (tmp_path / "keypoints" / f"{name}.json").write_bytes(
-            coco_bytes(one.frames, one.keypoints, one.positions, one.confidence, SIZE)
-        )
-    (tmp_path / "own.yaml").write_text(
-        "aliases: {q0: chin, q1: head, q2: neck_base, q3: croup, q4: nose}"
-    )
-    rig = CameraRig((camera("a"), camera("b")), np.stack([np.eye(3)] * 2), np.zeros((2, 3)), "m")
-    write_cameras(tmp_path / "rig.toml", rig, "anipose")
-    done = tool(
-        "inspect",
-        tmp_path / "keypoints",
-        "--skeleton",
-        tmp_path / "own.yaml",
-        "--cameras",
-        tmp_path / "rig.toml",
-        "--json",
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    report = json.loads(done.stdout)
-    assert (report["model"]["name"], report["model"]["knows"]) == ("quadruped", 5)
-    assert ["same place" in each["message"] for each in report["findings"]] == [True]
-
-
-def test_the_command_says_it_as_text_and_as_json(tmp_path, tool):
-    for name in "ab":
-        one = view(name, seed=ord(name))
-        (tmp_path / f"{name}.json").write_bytes(
-            coco_bytes(one.frames, NAMES, one.positions, one.confidence, SIZE)
-        )
-    done = tool("inspect", tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "nothing stands in the way" in done.stdout
-    assert "\x1b" not in done.stdout
-    (tmp_path / "a.json").write_text('{"images": []')
-    done = tool("inspect", tmp_path)
+def test_a_file_that_cannot_be_read_is_critical_and_the_others_are_reported(
+    inspect, tool, tmp_path
+):
+    inspect([view("a"), view("b", seed=1)])
+    (tmp_path / "keypoints" / "a.json").write_text('{"images": []')
+    done = tool("inspect", tmp_path / "keypoints")
     assert done.returncode == 1
     lines = [line for line in done.stdout.splitlines() if line.startswith("CRITICAL: ")]
     assert len(lines) == 2  # the file, and that one camera is left
-    assert str(tmp_path / "a.json") in lines[0]
-    report = json.loads(tool("inspect", tmp_path, "--json").stdout)
-    assert [each["level"] for each in report["findings"]] == ["CRITICAL", "CRITICAL"]
-    assert report["cameras"][0]["name"] == "b"
+    assert str(tmp_path / "keypoints" / "a.json") in lines[0]
 
 
-def test_scores_a_little_above_1_are_said_to_be_above_1():
-    """Rounded to two digits they would read `1.00`."""
-    other = view("b", seed=1)
-    other.confidence[0, 0, 0] = 1.00001
-    assert [
-        "(up to 1 + 1e-05)" in finding.message
-        for finding in found_in((view(), other))
-        if "scores" in finding.message
-    ] == [True]
+def test_a_camera_that_sees_nothing_or_nothing_with_others_is_named_once(inspect):
+    apart = view("c", frames=range(100, 140), seed=2)
+    blind = replace(apart, positions=np.full_like(apart.positions, np.nan))
+    for third in (apart, blind):
+        found = inspect([view("a"), view("b", seed=1), third])
+        assert not found.critical
+        assert len([text for _, text in found.findings if text.startswith("c:")]) == 1
 
 
-def test_every_column_is_explained():
-    report = report_of(view(frames=[1, 2, 5]), view("b", frames=[1, 2, 5], seed=1))
-    lines = _describe(report | {"findings": [{"level": "WARNING", "message": "m"}]})
-    header = lines[0].split("  ")
-    for name in ("range", "gaps", "at once", "followed", "missing", "score", "covered"):
-        assert name in map(str.strip, header)
-        assert sum(line.startswith(f"{name:<10}  ") for line in lines) == 1
-    assert "gaps        places between them where frame numbers are not there" in lines
-    assert lines[-1] == "1 finding"
+# --- subjects that stand still or are flat, cameras that see too little
+
+
+def frozen(views: Sequence[mc.Keypoints2D], noise: float) -> list[mc.Keypoints2D]:
+    """One frame of each view, repeated with noise in pixels."""
+    rng, stay = np.random.default_rng(0), np.full(60, 20)
+    return [
+        replace(
+            each,
+            frames=np.arange(60),
+            positions=each.positions[stay] + rng.normal(0, noise, each.positions[stay].shape),
+            confidence=each.confidence[stay],
+        )
+        for each in views
+    ]
+
+
+def sees_only(each: mc.Keypoints2D, frames: range) -> mc.Keypoints2D:
+    """The view with detections in these frames alone."""
+    seen = np.isin(each.frames, list(frames))
+    return replace(each, positions=np.where(seen[:, None, None, None], each.positions, np.nan))
+
+
+@pytest.mark.parametrize(
+    ("changes", "noise"),
+    [
+        ({"people": 1}, 0.5),
+        ({"people": 3}, 3.0),
+        ({}, None),
+        ({"people": 1, "frames": 10}, None),
+    ],
+)
+def test_a_still_subject_is_foretold_and_one_that_moves_is_not(inspect, changes, noise):
+    """Simulated 0.01 to 0.07 of a body where it stands, 0.3 and more where it walks."""
+    quiet = {} if noise is None else {"noise_px": 0.0, "false_detections": 0.0}
+    views = scene(**changes, **quiet).files
+    found = inspect(views if noise is None else frozen(views, noise))
+    assert len(found.warnings("moves")) == (noise is not None)
+
+
+def test_a_camera_that_shares_few_frames_is_named(inspect):
+    *others, last = scene(cameras=4).files
+    assert not [text for _, text in inspect([*others, last]).findings if text.startswith("cam4")]
+    (said,) = inspect([*others, sees_only(last, range(7))]).warnings("cam4:")
+    assert "7 frames" in said
+
+
+def test_groups_that_share_no_frame_are_foretold(inspect):
+    views = scene(cameras=4).files
+    first, second = range(30), range(30, 60)
+    parts = zip(views, (first, second, first, second), strict=True)
+    apart = [sees_only(each, frames) for each, frames in parts]
+    (said,) = inspect(apart).warnings("groups")
+    assert "cam1, cam3" in said
+    assert "cam2, cam4" in said
+    assert not inspect([*apart[:3], views[3]]).warnings("groups")
+
+
+# --- two views of one subject
+
+JOINTS = scene().files[0].keypoints
+IMAGE = (1280, 720)
+UP = np.array([0.0, 0, 1])
+
+
+def walk(rng, bodies=1, thickness=1.0, frames=60):
+    """Return `[frame, body, joint, 3]` metres of bodies that go about and turn, about the origin.
+
+    thickness: of all that is seen along the first axis, 0 = in a plane.
+    """
+    body = rng.normal(size=(len(JOINTS), 3)) * [0.2, 0.2, 0.5]
+    time = np.linspace(0, 6, frames)[:, None] + rng.uniform(0, 6, bodies)
+    heading = np.stack([np.cos(2 * time), -np.sin(2 * time)], -1)
+    turned = np.stack([heading, heading[..., ::-1] * [-1, 1]], -1)  # [frame, body, 2, 2]
+    level = np.einsum("fbij,kj->fbki", turned, body[:, :2])
+    place = np.stack([np.sin(time), np.cos(1.7 * time)], -1)
+    upright = np.broadcast_to(body[:, 2], level.shape[:-1])[..., None]
+    points = np.concatenate([level + place[..., None, :], upright], axis=-1)
+    return points * [thickness, 1, 1]
+
+
+def film(name, azimuth, points, rng, noise_px):
+    """Return the file of a level camera 4 m from the origin, of bodies as `walk` returns them."""
+    turn = np.radians(azimuth)
+    ahead = -np.array([np.cos(turn), np.sin(turn), 0.0])
+    axes = np.stack([np.cross(ahead, UP), -UP, ahead])
+    seen = (points + 4 * ahead) @ axes.T
+    pixels = 600 * seen[..., :2] / seen[..., 2:] + np.array(IMAGE) / 2
+    pixels += noise_px * rng.normal(size=pixels.shape)
+    score, numbers = np.full(pixels.shape[:3], 0.9), np.arange(len(points))
+    return mc.Keypoints2D(name, JOINTS, numbers, pixels, score, False, IMAGE, f"{name}.json")
+
+
+def views_at(*azimuths, seed=0, noise_px=2.0, **changes):
+    rng = np.random.default_rng(seed)
+    points = walk(rng, **changes)
+    return [
+        film(f"cam{k}", azimuth, points, rng, noise_px) for k, azimuth in enumerate(azimuths, 1)
+    ]
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("azimuths", "facing"),
+    [((0, 60), 0), ((0, 110), 0), ((0, 172), 1), ((0, 180), 1), ((0, 180, 90), 0)],
+)
+def test_two_cameras_that_look_at_each_other_are_named_without_a_third(
+    inspect, azimuths, facing, seed
+):
+    found = inspect(views_at(*azimuths, seed=seed)).warnings("each other")
+    assert len(found) == facing
+    assert not facing or found[0].startswith("cam1 and cam2")
+
+
+def test_a_facing_pair_is_found_among_pairs_of_other_times(inspect):
+    views = []
+    for number in range(5):
+        own = np.arange(25 * number, 25 * number + 25)
+        found = views_at(0, 180 if number == 3 else 70, seed=number, frames=25)
+        views += [
+            replace(each, camera=f"cam{number}{side}", frames=own)
+            for side, each in zip("ab", found, strict=True)
+        ]
+    (said,) = inspect(views).warnings("each other")
+    assert said.startswith("cam3a and cam3b")
+
+
+@pytest.mark.parametrize("change", ["behind", "several", "shuffled", "no common joint"])
+def test_nothing_is_said_of_cameras_behind_each_other_or_where_views_do_not_compare(
+    inspect, change
+):
+    first, second = views_at(*((0, 0) if change == "behind" else (0, 180)))
+    if change == "behind":
+        second.positions[...] = 1.3 * (second.positions - 500) + 500
+    if change == "several":
+        first, second = views_at(0, 180, bodies=2)
+    if change == "shuffled":  # frames are of different moments
+        second.positions[...] = np.random.default_rng(1).permutation(second.positions)
+    if change == "no common joint":
+        first.positions[:, :, ::2], second.positions[:, :, 1::2] = np.nan, np.nan
+    assert not inspect([first, second]).warnings("each other")
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "thickness", "noise_px", "flat"),
+    [
+        ((20, 60, 110), 0, 0.5, True),
+        ((20, 60, 110), 0, 4, True),
+        ((20, 60, 110), 0.02, 4, True),
+        ((20, 60, 110), 0.5, 4, False),
+        ((20, 60, 110), 1, 0.5, False),
+        ((0, 0.5), 1, 4, True),  # 3.5 and 7 cm between cameras at 4 m: the same sight twice
+        ((0, 1.0), 1, 4, True),
+    ],
+)
+def test_what_lies_in_one_plane_or_is_seen_from_one_side_is_named(
+    inspect, azimuths, thickness, noise_px, flat
+):
+    found = inspect(views_at(*azimuths, thickness=thickness, noise_px=noise_px))
+    assert len(found.warnings("plane")) == flat

@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import cv2
 import h5netcdf
@@ -11,11 +11,7 @@ import pytest
 from scenes import scene
 
 import mocap_calib as mc
-from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.registry import find_format
-from mocap_calib.results import Adjusted, LiftedPoses, PairwiseCalibration
-from mocap_calib.types import World
+from mocap_calib.results import PairwiseCalibration
 
 MATRIX = [[1000, 0, 640], [0, 1010, 360], [0, 0, 1]]
 UNIT = np.eye(3).tolist()
@@ -57,16 +53,6 @@ def test_covariances_of_points_scale_with_the_square_and_may_be_unknown():
     np.testing.assert_allclose(scaled.covariance, 1e6 * known.covariance)
     turned = known.turn(np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]))
     np.testing.assert_allclose(turned.covariance[0, 0, 0], [9, 0, 0, 3, 0, 4], atol=1e-6)
-    with pytest.raises(ValueError, match="poses: covariance: expected shape"):
-        poses(covariance=np.zeros((2, 1, 2, 3)))
-
-
-def test_the_floor_of_the_poses_turns_and_shifts_with_the_points():
-    spot = np.array([0.5, 1.0, 2.0])
-    there = poses(positions=np.tile(spot, (2, 1, 2, 1)), world=World(floor=spot))
-    turned = there.turn(np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), np.array([10.0, 20, 30]))
-    np.testing.assert_allclose(turned.world.floor, [11, 22, 30.5])
-    np.testing.assert_allclose(turned.positions, np.tile([11, 22, 30.5], (2, 1, 2, 1)))
 
 
 def test_arrays_are_kept_as_they_are():
@@ -81,67 +67,42 @@ def test_arrays_are_kept_as_they_are():
     assert replace(recording, model="none").positions is recording.positions
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: camera(matrix=[1, 2, 3]), r"camera cam1: matrix: expected shape \(3, 3\), got"),
-        (lambda: camera(matrix=[[1, 2], [3]]), "camera cam1: matrix: expected numbers, got"),
-        (lambda: camera(matrix="eye"), "camera cam1: matrix: expected numbers, got 'eye'"),
-        (
-            lambda: camera(distortion=np.full(14, 0.1)),
-            "camera cam1: distortion: expected at most 8 coefficients, got 14",
-        ),
-        (
-            lambda: mc.CameraRig([camera()], [UNIT], [0, 0, 1]),
-            r"rig: translation: expected shape \(1, 3\), got \(3,\)",
-        ),
-        (
-            lambda: mc.CameraRig([camera(), camera()], [UNIT] * 2, np.eye(3)[:2]),
-            r"rig: cameras: expected each name once, got \['cam1'\] several times",
-        ),
-        (lambda: two_views().scale(1, "parsec"), "rig: unit: expected one of m, .*got 'parsec'"),
-        (lambda: two_views().scale(np.nan, "m"), "rig: factor: expected a number above 0, got nan"),
-        (lambda: two_views().scale(0, "m"), "rig: factor: expected a number above 0, got 0"),
-        (lambda: poses().scale(-1, "m"), "poses: factor: expected a number above 0, got -1"),
-        (lambda: poses(unit="ell"), "poses: unit: expected one of m, .*got 'ell'"),
-        (lambda: two_views().select([True] * 3), r"views: expected shape \(2,\), got \(3,\)"),
-        (lambda: of_arrays(keypoints=["nose"] * 4), "keypoints: expected each name once"),
-        (lambda: of_arrays(keypoints="nose"), "keypoints: expected a list of names, got the text"),
-        (lambda: of_arrays(frames=[0] * 5), "frames: expected numbers that ascend, each once"),
-        (lambda: of_arrays(frames=[4, 3, 2, 1, 0]), "frames: expected numbers that ascend"),
-        (lambda: of_arrays(cameras=[camera()] * 2), "cameras: expected each name once"),
-        (lambda: poses().to_xarray(fps=0), "fps: expected a number above 0, got 0"),
-        (lambda: poses().to_xarray(individuals=["a", "b"]), "expected 1 names, got 2"),
-        (lambda: poses(frames=[0.5, 1]), "poses: frames: expected whole numbers"),
-        (lambda: poses(frames=[np.nan, 1]), "poses: frames: expected whole numbers"),
-        (lambda: mc.Matches([[0, 1]]), "matches: labels: expected shape"),
-        (lambda: two_views().project([[1, 2]]), r"points: expected shape \(1, 3\), got \(1, 2\)"),
-        (lambda: two_views().triangulate([[1, 2]]), r"pixels: expected shape \(2, 2\), got"),
-        (
-            lambda: two_views().triangulate([[1, 2]] * 2, [1, 2, 3]),
-            r"confidence: expected shape \(2,\), got \(3,\)",
-        ),
-    ],
-)
-def test_what_is_wrong_is_said(make, message):
-    with pytest.raises(ValueError, match=message) as raised:
+WRONG = {
+    "camera cam1: matrix": lambda: camera(matrix=[1, 2, 3]),
+    "matrix: expected numbers": lambda: camera(matrix=[[1, 2], [3]]),
+    "distortion: expected at most 8": lambda: camera(distortion=np.full(14, 0.1)),
+    "rig: translation": lambda: mc.CameraRig([camera()], [UNIT], [0, 0, 1]),
+    "rig: cameras": lambda: mc.CameraRig([camera(), camera()], [UNIT] * 2, np.eye(3)[:2]),
+    "rig: unit": lambda: two_views().scale(1, "parsec"),
+    "rig: factor: expected a number above 0, got nan": lambda: two_views().scale(np.nan, "m"),
+    "rig: factor": lambda: two_views().scale(0, "m"),
+    "poses: factor": lambda: poses().scale(-1, "m"),
+    "poses: unit": lambda: poses(unit="ell"),
+    "poses: covariance": lambda: poses(covariance=np.zeros((2, 1, 2, 3))),
+    "poses: frames": lambda: poses(frames=[0.5, 1]),
+    "frames: expected whole": lambda: poses(frames=[np.nan, 1]),
+    "views": lambda: two_views().select([True] * 3),
+    "keypoints": lambda: of_arrays(keypoints=["nose"] * 4),
+    "keypoints: expected a list": lambda: of_arrays(keypoints="nose"),
+    "positions": lambda: of_arrays(keypoints=["nose", "left_ear", "right_ear"]),
+    "frames: expected numbers that ascend": lambda: of_arrays(frames=[0] * 5),
+    "frames": lambda: of_arrays(frames=[4, 3, 2, 1, 0]),
+    "cameras": lambda: of_arrays(cameras=[camera()] * 2),
+    "fps": lambda: poses().to_xarray(fps=0),
+    "1 names": lambda: poses().to_xarray(individuals=["a", "b"]),
+    "matches: labels": lambda: mc.Matches([[0, 1]]),
+    "points": lambda: two_views().project([[1, 2]]),
+    "pixels": lambda: two_views().triangulate([[1, 2]]),
+    "confidence": lambda: two_views().triangulate([[1, 2]] * 2, [1, 2, 3]),
+}
+
+
+@pytest.mark.parametrize(("owner", "make"), WRONG.items(), ids=WRONG)
+def test_what_is_wrong_is_said_in_a_line_with_its_name(owner, make):
+    with pytest.raises(ValueError, match=r"expected (.*got |numbers that ascend)") as raised:
         make()
+    assert owner in str(raised.value)
     assert "\n" not in str(raised.value)
-
-
-def test_cameras_of_a_rig_are_cameras_of_a_recording_and_of_another_rig():
-    rig = scene().rig
-    assert mc.CameraRig(list(rig), rig.rotation, rig.translation, rig.unit) == rig
-    recording = mc.Recording.from_keypoints(scene().files, list(rig))
-    assert {type(each) for each in recording.cameras} == {mc.Camera}
-    assert replace(recording, cameras=list(rig)) == recording
-
-
-def test_wall_time_is_no_result():
-    compared = {each.name for each in fields(mc.GroupResult) if each.compare}
-    assert "seconds" not in compared
-    assert "rig" not in compared
-    assert "adjusted" in compared
 
 
 def test_records_compare_by_value():
@@ -153,13 +114,6 @@ def test_records_compare_by_value():
     assert rig != replace(rig, translation=rig.translation + 1e-9)
     assert rig != rig.select(rig.names[:2])
     assert rig != "rig"
-
-
-def test_scenes_compare_too():
-    config = mc.SimulateConfig(cameras=2, people=1, frames=3)
-    assert mc.simulate(config) == mc.simulate(config)
-    assert mc.simulate(config) != mc.simulate(replace(config, seed=1))
-    assert "poses=float64[3, 1, 29, 3], detections=Detections(...)" in repr(mc.simulate(config))
 
 
 def test_missing_equals_missing():
@@ -180,22 +134,16 @@ def test_records_print_in_short():
         "  cam1: 1280 x 720, f 1005.0 px, no distortion, at (-1, 0, 0)",
         "  cam2: 1280 x 720, f 1005.0 px, fisheye, at (0, -1, 0)",
     ]
-    assert repr(camera()) == "Camera(cam1, 1280 x 720, f 1005.0 px, no distortion)"
-    assert repr(rig["cam1"]).startswith("PosedCamera(cam1, 1280 x 720")
-    assert repr(poses()).startswith("Poses3D(keypoints=")
-    recording = mc.Recording.from_keypoints(scene().files, scene().rig)
-    assert repr(recording) == (
-        "Recording(4 cameras, 60 frames (0 to 59), at most 4 instances a frame, 17 keypoints, "
-        "model people)"
-    )
     assert repr(mc.Matches(np.zeros((2, 3, 1), int))) == "Matches(labels=int64[2, 3, 1])"
-    lifted = LiftedPoses(np.zeros((1, 1, 1, 4, 3)), np.zeros((1, 1, 1, 3)), np.zeros((1, 1, 1, 4)))
-    assert repr(lifted).startswith("LiftedPoses(body=float64[1, 1, 1, 4, 3], ")
-    adjusted = Adjusted(rig, mc.Matches(np.zeros((2, 3, 1), int)), None, rounds=2, converged=True)
-    assert repr(adjusted) == (
-        "Adjusted(rig=CameraRig(...), matches=Matches(...), depth_reversed_rig=None, rounds=2, "
-        "converged=True)"
-    )
+    made = scene()
+    for record in (
+        camera(),
+        made,
+        made.files[0],
+        mc.Recording.from_keypoints(made.files, made.rig),
+    ):
+        assert len(repr(record)) < 1000  # no array is written out
+        assert "\n" not in repr(record)
 
 
 # --- a recording of arrays
@@ -228,8 +176,6 @@ def test_a_single_subject_needs_no_axis_of_instances():
         positions, np.full((2, 5, 4), 0.5), keypoints=names, cameras=cameras
     )
     assert np.nanmax(weighed.confidence) == 0.5
-    with pytest.raises(ValueError, match=r"positions: expected shape \(2, 'any', 'any', 3, 2\)"):
-        mc.Recording.from_arrays(positions, keypoints=names[:3], cameras=cameras)
 
 
 def of_arrays(**changes) -> mc.Recording:
@@ -283,10 +229,9 @@ def test_views_are_chosen_by_name_or_index():
     assert recording.select(views=["cam3", "cam1"]).names == ("cam3", "cam1")
     mask = np.array([False, True, False, True])
     assert recording.select(views=mask) == recording.select(views=np.array([1, 3]))
-    with pytest.raises(KeyError, match="found 'nobody'"):
-        recording.select(views=["nobody"])
-    with pytest.raises(KeyError, match="found 'nobody'"):
-        rig.select(["nobody"])
+    for select in (lambda: recording.select(views=["nobody"]), lambda: rig.select(["nobody"])):
+        with pytest.raises(KeyError, match="nobody"):
+            select()
 
 
 def test_lengths_get_a_unit():
@@ -300,14 +245,6 @@ def test_lengths_get_a_unit():
 
 
 # --- points and pixels
-
-
-def test_points_are_projected_in_any_shape():
-    rig = scene(distortion="fisheye").rig
-    points = scene().poses
-    pixels = rig.project(points)
-    assert pixels.shape == (4, *points.shape[:-1], 2)
-    np.testing.assert_array_equal(pixels[:, 3, 1, 5], rig.project(points[3, 1, 5].tolist()))
 
 
 def test_what_is_behind_a_camera_has_no_pixel():
@@ -369,25 +306,16 @@ def test_what_two_views_do_not_see_is_missing():
     assert np.isnan(near.triangulate(near.project([0, 0, 3]))[0]).all()
 
 
-def test_no_points_and_many_points():
-    rig = two_views()
-    points, error = rig.triangulate(np.empty((2, 0, 2)))
-    assert (points.shape, error.shape) == ((0, 3), (0,))
-    many = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], size=(20_000, 3))
-    np.testing.assert_allclose(rig.triangulate(rig.project(many))[0], many, atol=1e-9)
-
-
 # --- xarray
 
 
 def test_a_data_set_is_what_the_file_of_movement_holds(tmp_path):
     """The same dimensions, coordinates, values and attributes, with and without a rate."""
     pytest.importorskip("xarray")
-    write = find_format(POSE_FORMATS, "movement-3d").writer()
     for rate, names in ((25.0, ("ann",)), (None, ())):
         dataset = poses().to_xarray(fps=rate, individuals=names)
         path = tmp_path / "poses.nc"
-        path.write_bytes(write(PoseFile(poses(), rate or np.nan, names), "").content)
+        mc.write(poses(), path, format="movement-3d", fps=rate, individuals=names)
         with h5netcdf.File(path) as file:
             assert {*dataset.variables} == {*file.variables}
             for name, variable in dataset.variables.items():
