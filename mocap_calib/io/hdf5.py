@@ -116,6 +116,11 @@ def require_filters(group: Any, source: str, remedy: str) -> None:
                 raise FormatError(source, "compression that HDF5 has itself", found, remedy)
 
 
+def most_unpacked(stored: int) -> int:
+    """Return how many bytes a part of a file may unpack to that takes this many there."""
+    return max(_MOST_UNPACKED * stored + _SMALL, min(DEFLATE * stored, _MOST_EMPTY))
+
+
 def _check_size(dataset: Any, source: str) -> None:
     """Raise FormatError for a dataset that unpacks to far more than it has in the file.
 
@@ -124,7 +129,7 @@ def _check_size(dataset: Any, source: str) -> None:
     entries = dataset.size or 0
     claimed = entries * dataset.dtype.itemsize
     stored = dataset.id.get_storage_size()
-    most = max(_MOST_UNPACKED * stored + _SMALL, min(DEFLATE * stored, _MOST_EMPTY))
+    most = most_unpacked(stored)
     if claimed > most or entries > 4 * MOST_POINTS:
         raise FormatError(
             source,

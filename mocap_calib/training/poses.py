@@ -19,6 +19,7 @@ from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.common import refuse_damage
+from mocap_calib.io.poses.npz import check_sizes
 from mocap_calib.io.poses.read import read_poses
 from mocap_calib.recording.joints import load_section, load_skeleton, match_names, parse_skeleton
 from mocap_calib.results import Poses3D
@@ -108,7 +109,9 @@ def _read(path: Path) -> dict[str, NDArray[Any]]:
         folder, file_path = path, path / "poses3d.npz"
     wanted = "an npz file of 3D poses, or a folder with poses3d.npz and joints.json"
     with refuse_damage(str(path), wanted):
-        with np.load(io.BytesIO(file_path.read_bytes()), allow_pickle=False) as file:
+        content = file_path.read_bytes()
+        check_sizes(content, str(path))
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
             fields = {
                 _OTHER_NAMES.get(name, name): file[name] for name in file.files if name in _ARRAYS
             }

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from mocap_calib.errors import FormatError, one_line
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers, skew_in_pixels
 from mocap_calib.io.cameras.source import (
@@ -25,7 +25,7 @@ from mocap_calib.io.cameras.source import (
     without_sizes,
     without_verdict,
 )
-from mocap_calib.io.mat5 import DAMAGE, read_mat
+from mocap_calib.io.matlab import read_mat
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
@@ -77,12 +77,13 @@ def _load(source: Source) -> tuple[list[dict[str, Any]], list[str]]:
     """
     if source.content.startswith(b"MATLAB 7.3"):
         raise FormatError(source.path, "a .mat file of version 7 or below", "version 7.3", _REMEDY)
-    try:
-        found = read_mat(source.content, ("params", "camnames", *_FIELDS))
-    except DAMAGE as error:
-        expected = "a .mat file of Label3D or DANNCE"
-        reason = one_line(error) or type(error).__name__
-        raise FormatError(source.path, expected, f"an error ({reason})", _REMEDY) from None
+    found = read_mat(
+        source.content,
+        ("params", "camnames", *_FIELDS),
+        source=source.path,
+        expected="a .mat file of Label3D or DANNCE",
+        remedy=_REMEDY,
+    )
     if "params" not in found and found.keys() >= set(_FIELDS):
         name = re.fullmatch(_ONE_CAMERA_STEM, source.stem)
         return [found], [name["camera"] if name else source.stem]

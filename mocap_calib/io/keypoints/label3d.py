@@ -12,7 +12,7 @@ from mocap_calib.errors import FormatError
 from mocap_calib.io.file import NO_SCORE, Origin, blank, make_view
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
-from mocap_calib.io.mat5 import DAMAGE, read_mat
+from mocap_calib.io.matlab import read_mat
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "save it from Label3D again, for MATLAB 7 (not 7.3)"
@@ -40,11 +40,13 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 def _read_variables(item: Item) -> tuple[list[str], list[Any]]:
     """Return the names of the cameras and the labels of each. Raises FormatError."""
     source = item.origin.source
-    try:
-        variables = read_mat(item.document.content, _VARIABLES)
-    except DAMAGE as error:
-        found = f"an error ({error or type(error).__name__})"
-        raise FormatError(source, "a whole MATLAB file", found, _REMEDY) from None
+    variables = read_mat(
+        item.document.content,
+        _VARIABLES,
+        source=source,
+        expected="a whole MATLAB file",
+        remedy=_REMEDY,
+    )
     missing = set(_VARIABLES) - variables.keys()
     if missing:
         raise FormatError(

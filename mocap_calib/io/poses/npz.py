@@ -8,12 +8,15 @@ Pickled objects, which could run anything, are not read.
 
 import io
 import json
+import zipfile
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_calib.errors import FormatError
+from mocap_calib.io.hdf5 import most_unpacked
 from mocap_calib.io.poses.common import PoseFile, WrittenPoses, refuse_damage
 from mocap_calib.io.units import known_unit
 from mocap_calib.io.world_fields import read_world, world_fields
@@ -36,6 +39,7 @@ def sniff(content: bytes) -> bool:
 def parse(content: bytes, source: str) -> PoseFile:
     """Read the arrays. Raises FormatError."""
     with refuse_damage(source, f"an .npz of poses ({', '.join(_ARRAYS)}, ...)"):
+        check_sizes(content, source)
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             poses = Poses3D(
                 keypoints=tuple(map(str, file["keypoints"])),
@@ -54,6 +58,21 @@ def parse(content: bytes, source: str) -> PoseFile:
             rate = float(file["fps"])
         _check_shapes(poses, individuals)
         return PoseFile(poses, rate, individuals)
+
+
+def check_sizes(content: bytes, source: str) -> None:
+    """Raise FormatError for an archive whose arrays unpack to far more than they take in it."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        for part in archive.infolist():
+            most = most_unpacked(part.compress_size)
+            if part.file_size > most:
+                raise FormatError(
+                    source,
+                    f"at most {most / 1e6:.0f} MB of `{part.filename}` in the "
+                    f"{part.compress_size / 1e6:.1f} MB stored",
+                    f"{part.file_size / 1e6:.0f} MB",
+                    "the file is damaged, or nearly all of it is missing points",
+                )
 
 
 def _read_if_there(file: Mapping[str, Any], name: str) -> NDArray[Any]:
