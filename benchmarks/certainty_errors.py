@@ -27,7 +27,7 @@ def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any
         "cameras": list(group.rig.names),
         "verdict": group.verdict,
         "failed": [check.name for check in group.assessment.checks if not check.passed],
-        "reasons": list(group.reasons),
+        "reasons": list(map(str, group.reasons)),
         "rotation_sigma_deg": np.degrees(covariance.rotation_sigma).tolist(),
         "centre_sigma": (100 * covariance.centre_sigma).tolist(),
         "true": False,

@@ -21,7 +21,7 @@ def calibrate(session: Path, out: Path) -> tuple[str, str]:
     except mc.MocapCalibError as error:  # what is wrong with files or data, in one line
         return "refused", str(error)
     mc.write(result, out / session.name)
-    return result.groups[0].verdict, "; ".join(result.groups[0].reasons)
+    return result.groups[0].verdict, " ".join(map(str, result.groups[0].reasons))
 
 
 def main(sessions: Path, out: Path) -> None:

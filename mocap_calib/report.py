@@ -9,6 +9,7 @@ import numpy as np
 from mocap_calib import __version__, mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import VERDICT_LIMITS_DEG, IntrinsicsConfig
+from mocap_calib.errors import spell_as_option
 from mocap_calib.faults.hypotheses import describe_clock, describe_faults
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement, round_sigma
@@ -268,7 +269,7 @@ def _describe_verdict(group: GroupResult) -> dict[str, Any]:
     return {
         "rig": verdict.word,
         "expected_error_deg": finite_or_none(verdict.error_deg),
-        "reasons": list(verdict.reasons),
+        "reasons": [reason.render(spell_as_option) for reason in verdict.reasons],
         "causes": [
             {"name": cause.name, "camera": cause.camera or None, "error_deg": cause.error_deg}
             for cause in verdict.causes

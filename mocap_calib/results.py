@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mocap_calib import mapped
 from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config
-from mocap_calib.errors import count
+from mocap_calib.errors import Spell, count, spell_arguments, spell_in_python
 from mocap_calib.types import (
     Bools,
     CameraClock,
@@ -382,7 +382,7 @@ class Cause:
 
     camera: the one that it is of, "" = all. error_deg: rotation error that it stands for, NaN = a
     check that had nothing to measure. meaning: what was found, with its subject. remedy: what to do
-    about it.
+    about it; arguments stand in it as `errors.argument` marks them.
     """
 
     name: str
@@ -392,7 +392,11 @@ class Cause:
     remedy: str
 
     def __str__(self) -> str:
-        return f"{self.meaning}; {self.remedy}"
+        return self.render(spell_in_python)
+
+    def render(self, spell: Spell) -> str:
+        """Return a line that is read alone, with arguments as `spell` writes them."""
+        return spell_arguments(f"{self.meaning}. Next: {self.remedy}.", spell)
 
     @property
     def passed(self) -> bool:
@@ -419,8 +423,8 @@ class Verdict:
         return word_of_error(self.error_deg)
 
     @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why the rig is no better, and what to do about it, a line each, the largest cause first.
+    def reasons(self) -> tuple[Cause, ...]:
+        """Why the rig is no better, and what to do about it, the largest cause first.
 
         Of each kind the largest, from half a degree on. Of a well determined rig there are none.
         """
@@ -428,7 +432,7 @@ class Verdict:
             return ()
         largest = {cause.name: cause for cause in reversed(self.causes)}
         return tuple(
-            str(cause)
+            cause
             for cause in self.causes
             if cause is largest[cause.name] and cause.error_deg >= VERDICT_LIMITS_DEG[0] / 2
         )
@@ -656,8 +660,8 @@ class GroupResult(Record):
         return self.assessment.word
 
     @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why the verdict is no better, and what to do about it, a line each."""
+    def reasons(self) -> tuple[Cause, ...]:
+        """Why the verdict is no better, and what to do about it; `str` of each is a line."""
         return self.assessment.reasons
 
     @property
@@ -756,7 +760,7 @@ class Verification(Record):
     """How well a given calibration fits keypoints, and which cameras have moved.
 
     cameras: in the order of the recording. verdict: how far the calibration can be trusted.
-    reasons: why it is no better, and what to do about it, a line each.
+    reasons: why it is no better, and what to do about it; `str` of each is a line.
     rig: the calibration with the cameras that moved, or have another focal length, where they are
         now; all else as given, in its coordinates and its unit.
     clocks: how the clocks of the cameras differ, beyond what the calibration says of them.
@@ -765,7 +769,7 @@ class Verification(Record):
 
     cameras: tuple[VerifiedCamera, ...]
     verdict: VerdictWord
-    reasons: tuple[str, ...]
+    reasons: tuple[Cause, ...]
     rig: CameraRig
     clocks: Clocks
     provenance: Mapping[str, Any] = field(default_factory=dict, compare=False)

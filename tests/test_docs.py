@@ -27,7 +27,6 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
 SITE = tomllib.loads((ROOT / "zensical.toml").read_text("utf-8"))["project"]
 WRITTEN = [*PAGES, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))]
-NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
 
 
@@ -151,9 +150,11 @@ def keypoint_formats() -> int:
 LIMITS = [f"{limit:g}" for limit in VERDICT_LIMITS_DEG]
 # page, pattern of what it states, what holds
 CLAIMS = {
-    "checks": ("README.md", r"residuals\s+in\s+(\w+) ways", lambda: [NUMBERS[len(CHECKS)]]),
-    "checks, us": ("docs/comparison.md", r"camera, (\w+) checks", lambda: [NUMBERS[len(CHECKS)]]),
-    "checks, method": ("docs/method.md", r"and (\w+) checks", lambda: [NUMBERS[len(CHECKS)]]),
+    "checks": (
+        "docs/how-good.md",
+        r"\n\| (?!check )([\w ]+) \| (.+) \|(?=[^#]*No check finds)",
+        lambda: [(check.name, check.text) for check in CHECKS],
+    ),
     "verdicts": (
         "docs/how-good.md",
         r"\n\| (\w[\w ]+) \| .*\d+ deg(?: and more)? \|",

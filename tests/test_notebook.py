@@ -70,7 +70,7 @@ def test_a_result_shows_the_verdict_and_its_reasons(result):
     group = replace(result.groups[0], assessment=Verdict(5.0, causes))
     html = replace(result, groups=(group,))._repr_html_()
     assert "The rig is weak." in html
-    assert "<li>cam1 is loose; fix it</li>" in html
+    assert "<li>cam1 is loose. Next: fix it.</li>" in html
     assert {"cam1", "cam2", "cam3"} <= set(Reader(html).cells)
     assert group._repr_html_() in html
 

@@ -153,7 +153,7 @@ def test_every_finding_of_a_report_is_said_in_one_place():
         entry.update(before)
     reversible = replace(found.adjusted, depth_reversed_rig=found.rig)
     reasons = assess(replace(found, adjusted=reversible), (), Config()).reasons
-    assert len([each for each in reasons if "reversed in depth" in each]) == 1
+    assert len([each for each in reasons if "reversed in depth" in each.meaning]) == 1
 
 
 def test_a_rig_reversed_in_depth_is_written_beside_the_other(tmp_path):

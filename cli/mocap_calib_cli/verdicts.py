@@ -73,12 +73,7 @@ def conclude(
 
 
 def explain(reasons: Sequence[str], next_step: str = "") -> list[Line]:
-    """Return the reasons for a verdict, a line each, and the one thing to do next.
-
-    That is the remedy of the first reason, which is taken out of its line.
-    """
+    """Return the reasons for a verdict, a line each, the most urgent first; else the next step."""
     if not reasons:
         return [Line(f"next: {next_step}", _NEXT)] if next_step else []
-    why, mark, remedy = reasons[0].partition("; ")
-    said = [Line(f"  {reason}") for reason in (why, *reasons[1:])]
-    return [*said, Line(f"next: {remedy}", _NEXT)] if mark else said
+    return [Line(f"  {reason}", "" if place else _NEXT) for place, reason in enumerate(reasons)]

@@ -55,7 +55,7 @@ def describe_group(group: GroupResult) -> str:
         [*row, f"± {turn:.2g}", f"± {shift:.2g}"]
         for row, (turn, shift) in zip(_describe_cameras(group.rig), sigmas, strict=True)
     ]
-    return f"{verdict}{_list(group.reasons)}{_table((*_HEADER, *_SIGMAS), rows)}"
+    return f"{verdict}{_list(map(str, group.reasons))}{_table((*_HEADER, *_SIGMAS), rows)}"
 
 
 def _describe_focal(camera: Camera) -> str:

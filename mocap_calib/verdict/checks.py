@@ -14,6 +14,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES, VERDICT_LIMITS_DEG, Config
+from mocap_calib.errors import argument
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Cause, GroupResult, Matches
@@ -139,8 +140,8 @@ def unmatched(look: Look) -> Floats:
 class CheckKind:
     """What a check measures, and what it means.
 
-    text: what is measured. meaning, remedy: of a check that is a reason for the verdict;
-        `{value}`, in degrees, and `{camera}` are filled in.
+    text: what is measured, in degrees. meaning, remedy: of a check that is a reason for the
+        verdict; `{value}`, in degrees, and `{camera}` are filled in.
     measure: returns the error in degrees, or `[view]` errors, of which the largest counts.
     """
 
@@ -177,40 +178,39 @@ def check_rig(group: GroupResult, config: Config) -> tuple[Cause, ...]:
 CHECKS = (
     CheckKind(
         "convergence",
-        "whether adjusting and matching converged; 5 where not",
+        f"{OPEN_DEG:.0f} where adjusting and matching did not converge",
         "adjusting and matching did not converge",
         "look for a camera with large errors, and record longer",
         convergence,
     ),
     CheckKind(
         "pair score",
-        "5 times the share that the best pair of a camera lacks of a score of 0.62: agreement of "
-        "lifted bodies",
+        f"{OPEN_DEG:.0f} times the share that the camera's best pair lacks of a score of "
+        f"{Config().averaging.weak_score}",
         "{camera}: its bodies do not look like those of any other camera",
         "check that its file belongs to this recording",
         lack_of_score,
     ),
     CheckKind(
         "over time",
-        "by how much detections are beside the points, all to one side, in a tenth of all "
-        "stretches of time",
+        "bias of the detections to one side in a tenth of all stretches of time",
         "{camera}: detections are {value:.1f} deg to one side for a part of the recording",
         "check whether it was moved or out of step for a part of the recording",
         over_time,
     ),
     CheckKind(
         "unmatched",
-        "5 times the square of the share of the detections of a camera that stay unassigned",
+        f"{OPEN_DEG:.0f} times the square of the share of unassigned detections",
         "{camera}: many of its detections stay unassigned",
-        "check its keypoints: false detections, or people whom no other camera sees",
+        "check its keypoints: false detections, or people that only this camera sees",
         unmatched,
     ),
     CheckKind(
         "errors",
         "median error of a keypoint of a camera",
         "{camera}: the median error of its keypoints is {value:.1f} deg",
-        "check its keypoints, its clock (--frame-offset), its intrinsics, and that it was not "
-        "moved",
+        "check its keypoints, its intrinsics, its clock "
+        f"({argument('frame_offset')}), and that it was not moved",
         errors,
     ),
 )

@@ -25,7 +25,7 @@ from mocap_calib.adjust.refine import (
 from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config, UncertaintyConfig
-from mocap_calib.errors import DegenerateError, count
+from mocap_calib.errors import DegenerateError, argument, count
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import rig_change, rig_size
 from mocap_calib.pairs.solve import in_recording
@@ -188,10 +188,12 @@ def _covariance(group: GroupResult, config: Config) -> Iterator[Cause]:
             remedy = _remedy(group, view, config) if view == sigma.argmax() else "record longer"
         elif estimated:
             meaning += ", mostly because its intrinsics were estimated"
-            remedy = "give them (--cameras)"
+            remedy = f"give intrinsics with {argument('cameras')}"
         else:
             meaning += ", mostly because of its focal length"
-            remedy = "calibrate the intrinsics again, or run again with --refine focal"
+            remedy = "calibrate the intrinsics again, or run again with " + argument(
+                "refine", "focal"
+            )
         yield Cause("covariance", name, float(sigma[view]), meaning, remedy)
 
 
@@ -211,12 +213,13 @@ def _principal_points(
     for camera in group.rig.cameras:
         beside = np.abs(camera.matrix[:2, 2] - (np.array(camera.size) - 1) / 2).max()
         sigma = config.principal_point * max(camera.size)
-        meaning, remedy = "its principal point is taken to be in the middle", "give its intrinsics"
+        meaning = "its principal point is assumed in the middle of the image"
+        remedy = f"give intrinsics with {argument('cameras')}"
         if camera.name in crops:
             says, corner = crops[camera.name]
             sigma = float(np.hypot(sigma, corner))
-            meaning = f"{says}, which is an estimate"
-            remedy = "undo it, or state what is known of it"
+            meaning = f"{says}, as far as this was estimated"
+            remedy = f"undo it, or state it with {argument('crop_offset')}"
         elif not isinstance(camera, EstimatedCamera) or beside > _SAME_POINT:
             sigma = config.given_principal_point * max(camera.size)
             share = f"{config.given_principal_point:.1%}"
@@ -236,7 +239,7 @@ def _left_open(
         yield Cause("depth", "", OPEN_DEG, "a rig reversed in depth fits as well", remedy)
     if len(cameras) == 2 and all(isinstance(each, EstimatedCamera) for each in cameras):
         meaning = "the intrinsics of both cameras were estimated, and no third camera checks them"
-        remedy = "give their intrinsics, or add a camera"
+        remedy = f"give intrinsics with {argument('cameras')}, or add a camera"
         yield Cause("intrinsics", "", OPEN_DEG, meaning, remedy)
     own = {name.partition(EPOCH_MARK)[0] for name in names}
     for fault in faults:
@@ -244,13 +247,14 @@ def _left_open(
             meaning = f"{fault.camera}: {fault.says}, which was not corrected"
             yield Cause(fault.word, fault.camera, OPEN_DEG, meaning, "correct its files")
     for name in np.array(names)[group.uncertainty.outlier_cameras].tolist():
-        meaning = f"{name} and the other cameras contradict each other: no correction was found"
+        meaning = f"{name}: it contradicts the other cameras, and no correction was found"
         remedy = "check its keypoints, its clock and its intrinsics"
         yield Cause("inconsistent", name, OPEN_DEG, meaning, remedy)
     for clock in () if clocks is None or clocks.changed else clocks.cameras:
         if clock.differs:
             meaning = f"{clock.camera}: it is on another clock, which was not corrected"
-            yield Cause("clock", clock.camera, OPEN_DEG, meaning, "use --sync auto")
+            remedy = f"use {argument('sync', 'auto')}"
+            yield Cause("clock", clock.camera, OPEN_DEG, meaning, remedy)
 
 
 def _certain_outliers(group: GroupResult, config: Config) -> GroupResult:
@@ -273,11 +277,12 @@ def _certain_outliers(group: GroupResult, config: Config) -> GroupResult:
 def _remedy(group: GroupResult, worst: int, config: Config) -> str:
     """Return what would determine a camera (index) better."""
     frames = len(labelled_frames(group.matches))
+    name = group.rig.names[worst]
     if frames < config.uncertainty.time_blocks:
         return f"record longer: bodies are matched in {count(frames, 'frame')} only"
     if group.uncertainty.weak_perspective[worst]:
-        return "let the subject come closer: the camera is far away for the size of its bodies"
-    return "let the subject walk about, nearer to it and in view of other cameras, for longer"
+        return f"let the subject come closer to {name}, which is far away for the size of a body"
+    return f"let the subject walk about for longer, near {name} and in view of other cameras"
 
 
 # --- what keypoints leave uncertain

@@ -19,7 +19,7 @@ from mocap_calib.adjust.resection import find_lost_camera
 from mocap_calib.clocks.estimate import clocks_from, clocks_of_rates, estimate_clocks, retime
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import VERDICT_LIMITS_DEG, Config
-from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
+from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError, spell_as_option
 from mocap_calib.geometry.lens import change_intrinsics, pixels_from_points
 from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.provenance import judgement, round_sigma
@@ -59,14 +59,16 @@ from mocap_calib.verdict.verdict import expected_error
 
 Names = tuple[str, ...]
 
-_CALIBRATE = "calibrate anew: `mocap-calib run`"
+_CALIBRATE = "calibrate again"
 _RECORD = "record longer, with subjects that move through the room"
-# what to say of a camera by its word; {move}, {change} and {camera} are filled in
+# meaning and remedy of a camera's word; {move}, {change} and {camera} are filled in
 _REASONS = {
-    "moved": "{camera} {move}: put it back, or " + _CALIBRATE,
-    "focal": "{camera}: its focal length is {change} than given (zoom, or images of another size): "
-    "correct its intrinsics, or " + _CALIBRATE,
-    "not checked": "{camera}: sees too little with the others to be checked",
+    "moved": ("{camera} {move}", f"put it back, or {_CALIBRATE}"),
+    "focal": (
+        "{camera}: its focal length is {change} than given (zoom, or images of another size)",
+        f"correct its intrinsics, or {_CALIBRATE}",
+    ),
+    "not checked": ("{camera}: it sees too little with the others to be checked", _RECORD),
 }
 
 
@@ -332,22 +334,25 @@ def assess_calibration(
     return Verdict(expected_error(names, causes), tuple(causes))
 
 
-def explain_cameras(cameras: Sequence[VerifiedCamera]) -> list[str]:
-    """Return a line for each camera that moved or was not checked, and what to do about it."""
+def explain_cameras(cameras: Sequence[VerifiedCamera]) -> list[Cause]:
+    """Return a reason for each camera that moved or was not checked."""
     if len(cameras) == 2 and all(camera.word == "moved" for camera in cameras):
         first, second = cameras
-        return [
-            f"{first.name} or {second.name} moved, by {_deg(first)} deg against the other; with "
-            f"two cameras nobody can say which: {_CALIBRATE}"
-        ]
-    lines = []
+        meaning = (
+            f"{first.name} or {second.name} moved, by {_deg(first)} deg against the other: two "
+            "cameras do not show which"
+        )
+        return [Cause("moved", "", float(np.rad2deg(first.turn)), meaning, _CALIBRATE)]
+    reasons = []
     for camera in cameras:
         change = float(np.expm1(camera.focal_change))
         text = f"{abs(change):.1%} {'longer' if change > 0 else 'shorter'}"
         if camera.word in _REASONS:
-            reason = _REASONS[camera.word]
-            lines.append(reason.format(camera=camera.name, move=describe_move(camera), change=text))
-    return lines
+            meaning, remedy = _REASONS[camera.word]
+            meaning = meaning.format(camera=camera.name, move=describe_move(camera), change=text)
+            turn = float(np.rad2deg(camera.turn))
+            reasons.append(Cause(camera.word, camera.name, turn, meaning, remedy))
+    return reasons
 
 
 def describe_move(camera: VerifiedCamera) -> str:
@@ -381,7 +386,7 @@ def _provenance(
     turns, shifts = (dict(zip(names, map(round_sigma, each), strict=True)) for each in sigmas)
     return judgement(
         verdict.word,
-        [*refits, *verdict.reasons],
+        [*refits, *(reason.render(spell_as_option) for reason in verdict.reasons)],
         float(np.mean(errors)) if errors else None,
         rotation_sigma_deg=turns,
         centre_sigma_percent=shifts,

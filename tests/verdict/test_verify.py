@@ -115,7 +115,7 @@ def test_a_turned_camera_and_no_other_is_named_and_refitted(degrees):
     assert not found.passes
     assert abs(np.rad2deg(camera.turn) - degrees) < 5 * np.rad2deg(camera.turn_sigma) < 1.0
     assert camera.refitted_px < 5.0 < camera.error_px
-    assert name in found.reasons[0]
+    assert name in str(found.reasons[0])
     assert rotation_errors_deg(found.rig, true).max() < 0.2
 
 

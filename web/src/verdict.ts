@@ -71,14 +71,6 @@ function tiles(run: Run): HTMLElement {
   );
 }
 
-/** Return a reason, and what to do about it after an arrow. */
-function reason(text: string): HTMLElement {
-  const cut = text.indexOf("; ");
-  if (cut < 0) return h("li", {}, text);
-  const remedy = text.slice(cut + 2);
-  return h("li", {}, h("span", { class: "why" }, text.slice(0, cut)), h("span", { class: "do" }, remedy));
-}
-
 function faultRow(run: Run, camera: RunCamera, word: string): HTMLElement {
   const view = run.cameras.indexOf(camera);
   const evidence = camera.fault_evidence[word] ?? {};
@@ -174,7 +166,7 @@ export function verdictSection(recording: Recording): HTMLElement {
       h("div", {}, h("p", { class: "word" }, word.title), h("p", { class: "says" }, word.text)),
     ),
     reasons.length
-      ? h("div", { class: "reasons" }, h("h3", {}, "Why, and what to do next"), h("ul", {}, ...reasons.map(reason)))
+      ? h("div", { class: "reasons" }, h("h3", {}, "Why, and what to do next"), h("ul", {}, ...reasons.map((reason) => h("li", {}, reason))))
       : null,
     tiles(run),
     h("h3", {}, "What was wrong with the files"),

@@ -111,4 +111,4 @@ def _write_judged(
     reporter.show(ending.camera_table(report))
     reporter.say(*ending.describe_rig(report))
     place = "adjusted cameras" if output == options.STDIO else output
-    verdicts.conclude(reporter, group.verdict, place, shared, reasons=group.reasons)
+    verdicts.conclude(reporter, group.verdict, place, shared, reasons=report["verdict"]["reasons"])

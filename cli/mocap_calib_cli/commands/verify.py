@@ -124,10 +124,17 @@ def _figures(found: "Verification") -> dict[str, Any]:
         "verdict": found.verdict,
         "passes": found.passes,
         "named": list(found.named),
-        "reasons": list(found.reasons),
+        "reasons": _reasons(found),
         "unit": found.rig.unit,
         "cameras": cameras,
     }
+
+
+def _reasons(found: "Verification") -> list[str]:
+    """Return the reasons for the verdict, a line each."""
+    from mocap_calib.errors import spell_as_option
+
+    return [reason.render(spell_as_option) for reason in found.reasons]
 
 
 def _choose_format(output: str | None, target: str | None) -> str | None:
@@ -152,7 +159,7 @@ def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
     ]
     named = f"; named: {', '.join(found.named)}" if found.named else "; no camera is named"
     verdict = Line(f"calibration: {found.verdict}{named}", STYLES[found.verdict])
-    return [_camera_table(found), *map(Line, notes), verdict, *explain(found.reasons)]
+    return [_camera_table(found), *map(Line, notes), verdict, *explain(_reasons(found))]
 
 
 def _camera_table(found: "Verification") -> "Table":
