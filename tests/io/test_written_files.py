@@ -1,0 +1,352 @@
+"""What a run writes: files whole or not at all, tables that are read again, and what is refused."""
+
+import csv
+import json
+import os
+import re
+import shutil
+import stat
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from damaged_kinds import make_results
+from golden.command import call
+from platforms import linux, posix
+
+import mocap_calib as mc
+
+TRIANGULATE = ("triangulate", "scene/keypoints", "--rig", "cameras.yaml", "-q", "--matches")
+RUN = ("run", "scene/keypoints", "--cameras", "scene/intrinsics.toml", "--no-report", "-q", "-o")
+HEAD = "camera,frame,instance,individual\n"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A small scene, and what `run` and `pairwise` made of it."""
+    return make_results(tmp_path_factory.mktemp("made"))
+
+
+@pytest.fixture
+def folder(made, tmp_path) -> Path:
+    """A copy of it."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def rig(names=("a", "b")) -> mc.CameraRig:
+    matrix = np.array([[900.0, 0, 640], [0, 900, 360], [0, 0, 1]])
+    cameras = tuple(mc.Camera(name, (1280, 720), matrix, np.zeros(5)) for name in names)
+    return mc.CameraRig(cameras, np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 2], [1, 0, 2]]), "m")
+
+
+# --- whole or not at all
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def fail_at(monkeypatch, number: int) -> None:
+    """Let the n-th renaming of a file fail, as on a full or failing disk."""
+    calls, plain = [], os.replace
+
+    def rename(source, target):
+        calls.append(source)
+        if len(calls) == number:
+            raise OSError(28, "No space left on device")
+        plain(source, target)
+
+    monkeypatch.setattr(os, "replace", rename)
+
+
+@pytest.mark.parametrize("number", range(1, 5))
+def test_a_failed_write_leaves_the_files_that_were_there(number, tmp_path, monkeypatch):
+    """Each of two files is moved away and replaced: four renamings."""
+    mc.write(rig(), tmp_path / "out", "opencv")
+    (tmp_path / "out" / "notes").write_text("mine")
+    before = contents(tmp_path)
+    other = replace(rig(), translation=-rig().translation)
+    with monkeypatch.context() as patch:
+        fail_at(patch, number)
+        with pytest.raises(OSError, match="No space"):
+            mc.write(other, tmp_path / "out", "opencv")
+    assert contents(tmp_path) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    mc.write(other, tmp_path / "out", "opencv")
+    np.testing.assert_array_equal(mc.read_rig(tmp_path / "out").translation, other.translation)
+
+
+def test_a_failed_first_write_leaves_nothing(tmp_path, monkeypatch):
+    for name, number in (("anipose", 1), ("opencv", 2)):
+        with monkeypatch.context() as patch:
+            fail_at(patch, number)
+            with pytest.raises(OSError, match="No space"):
+                mc.write(rig(), tmp_path / "deep" / name, name)
+    assert not contents(tmp_path)
+
+
+def test_a_file_where_a_folder_is_is_refused_by_its_name(tmp_path):
+    (tmp_path / "there").mkdir()
+    with pytest.raises(IsADirectoryError) as caught:
+        mc.write(rig(), tmp_path / "there", "anipose")
+    assert caught.value.filename == str(tmp_path / "there")
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+@posix
+@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
+def test_files_have_the_mode_of_new_files(mask, tmp_path, made):
+    """A lab group reads results where the umask lets it."""
+    (view,) = mc.read_keypoints(made / "scene" / "keypoints" / "cam1.json")
+    before = os.umask(mask)
+    try:
+        mc.write(rig(), tmp_path / "a.toml")
+        mc.write(rig(), tmp_path / "b", "opencv")
+        mc.write(mc.read_poses(made / "poses3d.h5"), tmp_path / "c.npz")
+        mc.write(view, tmp_path / "d.csv", "csv")
+    finally:
+        os.umask(before)
+    modes = {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.rglob("*") if path.is_file()}
+    assert modes == {0o666 & ~mask}
+
+
+@posix
+def test_a_reader_that_goes_ends_the_command_quietly_with_status_1(made):
+    words = ["inspect", "scene/keypoints", "--json"]
+    command = [sys.executable, "-m", "mocap_calib_cli", *words]
+    with subprocess.Popen(command, cwd=made, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
+        run.stdout.close()
+        assert run.stderr.read() == b""
+        assert run.wait(timeout=120) == 1
+
+
+def test_what_an_earlier_run_wrote_is_removed_unless_it_was_changed(folder):
+    """Other files stay, whatever their names; a damaged report lists no files."""
+    report = json.loads((folder / "run.json").read_text())
+    earlier = report["outputs"]
+    assert earlier["matches.csv"]
+    (folder / "old").mkdir()
+    for name in ("old/a.csv", "b.csv", "mine.csv"):
+        (folder / name).write_text("1")
+    same = dict.fromkeys(("old/a.csv", "b.csv"), earlier["matches.csv"])
+    for name in same:
+        shutil.copy(folder / "matches.csv", folder / name)
+    (folder / "b.csv").write_text("edited")
+    listed = earlier | same | {"../outside.csv": "0", "gone.csv": "0"}
+    (folder / "run.json").write_text(json.dumps(report | {"outputs": listed}))
+    assert call(*RUN, ".", folder=folder).status == 0
+    assert not (folder / "old").exists()
+    assert {"b.csv", "mine.csv", "matches.csv"} <= set(contents(folder))
+    for damage in ("", "[]", '{"outputs": 3}'):
+        (folder / "run.json").write_text(damage)
+        assert call(*RUN, ".", folder=folder).status == 0
+    assert (folder / "b.csv").read_text() == "edited"
+
+
+def test_the_date_is_that_of_a_reproducible_build(folder, monkeypatch):
+    """And one that is none is refused before anything is read."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
+    assert call(*RUN, "new", folder=folder).status == 0
+    assert "1970-01-02T00:00:00Z" in (folder / "new" / "run.json").read_text()
+    for said in ("today", "1e9", "9" * 30):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", said)
+        done = call("run", "nothing", "-o", "other", folder=folder)
+        assert done.status == 1
+        assert "SOURCE_DATE_EPOCH: expected whole seconds" in done.stderr[-1]
+
+
+# --- matches.csv and pairs.json
+
+
+def test_matches_have_a_row_per_detection(made):
+    with (made / "matches.csv").open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["camera", "frame", "instance", "individual"]
+    found = {(camera, int(frame), int(instance)) for camera, frame, instance, _ in rows[1:]}
+    expected = {
+        (view.camera, int(view.frames[frame]), int(instance))
+        for view in mc.read_keypoints(made / "scene" / "keypoints")
+        for frame, instance in np.argwhere(np.isfinite(view.positions).any((2, 3)))
+    }
+    assert found == expected
+    assert len(rows) == 1 + len(found)
+
+
+def test_matches_are_read_in_any_order_with_any_line_end_and_gaps(folder):
+    head, *rows = (folder / "matches.csv").read_text().splitlines()
+    text = "\r\n".join([head, *rows[::-1], ""])
+    (folder / "m.csv").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    for name in ("matches", "m"):
+        assert call(*TRIANGULATE, f"{name}.csv", "-o", f"{name}.npz.h5", folder=folder).status == 0
+    one, other = (mc.read_poses(folder / f"{name}.npz.h5") for name in ("matches", "m"))
+    assert one == other
+    gone = [row for row in rows if not row.startswith("cam1,3,")]
+    (folder / "m.csv").write_text("\n".join([head, *gone]))
+    assert call(*TRIANGULATE, "m.csv", "-o", "m.h5", folder=folder).status == 0
+    fewer = mc.read_poses(folder / "m.h5")
+    row = one.frames.tolist().index(3)
+    same = np.delete(fewer.views == one.views, row, 0)
+    assert same.mean() > 0.99, "all but a point or two, whose weights change"
+    assert fewer.views[row].max() == one.views[row].max() - 1
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        *("middle,2,0,0", "cam1,2,9,0", "cam1,2,-1,0"),
+        *("cam1,2,0", "cam1,2,0,x", "cam1,2,0,-2", "cam1,2,0,9999", "cam1,2,0,1,2"),
+        *("cam1,2,0," + "9" * 40, "cam1,2,0,0\ncam1,2,0,1", "cam1,2,0,0\ncam1,2,1,0"),
+    ],
+)
+def test_matches_that_are_wrong_are_refused_in_a_line(rows, folder):
+    (folder / "m.csv").write_text(HEAD + rows + "\n")
+    done = call(*TRIANGULATE, "m.csv", "-o", "new.h5", folder=folder)
+    (line,) = done.stderr
+    assert done.status == 1
+    assert re.search(r"expected .+, found .+; .+", line), line
+    assert not (folder / "new.h5").exists()
+
+
+WRONG = [("(?s).*", text) for text in ("", "[]", "{}", "[" * 1000)]
+WRONG += [(r"(?s).{40}$", ""), ('"version": 1', '"version": 2'), ('"a": "cam1"', '"a": "nobody"')]
+WRONG += [
+    ('"score"', '"skore"'),
+    (r'"rotation": \[\[', '"rotation": [[['),
+    ('"frames": ', '"frames": "x", "o": '),
+]
+WRONG += [(rf'"{key}": \[', f'"{key}": [3, ') for key in ("translation", "pairs", "cameras")]
+
+
+@pytest.mark.parametrize(("old", "new"), WRONG)
+def test_pairs_that_are_wrong_are_refused_in_a_line(old, new, folder):
+    text = (folder / "pairs.json").read_text()
+    (folder / "p.json").write_text(re.sub(old, new, text, count=1))
+    done = call("average", "p.json", "-o", "new.yaml", "-q", folder=folder)
+    (line,) = done.stderr
+    assert done.status == 1
+    assert line.startswith("mocap-calib: p.json: expected "), line
+    assert not (folder / "new.yaml").exists()
+
+
+def test_pairs_are_strict_json_and_read_without_alternatives(folder):
+    """They come back: `average` makes the same rig of what it is given in any spelling."""
+    text = (folder / "pairs.json").read_text()
+    tree = json.loads(text, parse_constant=pytest.fail)  # no NaN
+    assert not re.search(r"(?<![\d.])-0\.0\b(?!\d)", text)
+    for pair in tree["pairs"]:
+        pair.pop("alternatives")
+    for name, content in (("all", text), ("few", json.dumps(tree)), ("again", json.dumps(tree))):
+        (folder / f"{name}.json").write_text(content)
+        done = call("average", f"{name}.json", "-o", f"{name}.yaml", "-q", folder=folder)
+        assert done.status == 0, done.stderr
+    few, again = (mc.read_rig(folder / f"{name}.yaml") for name in ("few", "again"))
+    np.testing.assert_array_equal(few.rotation, again.rotation)
+    assert len(mc.read_rig(folder / "all.yaml").cameras) == 3
+
+
+# --- poses and further formats
+
+
+def test_tables_of_poses_have_anipose_s_columns_and_all_digits(made):
+    poses = mc.read_poses(made / "poses3d.h5")
+    columns = {"x": poses.positions[..., 0], "y": poses.positions[..., 1]}
+    columns |= {"z": poses.positions[..., 2], "error": poses.error, "ncams": poses.views}
+    columns |= {"score": poses.confidence}
+    for individual in range(poses.positions.shape[1]):
+        with (made / f"poses3d_{individual}.csv").open(newline="") as file:
+            head, *rows = csv.reader(file)
+        cells = np.array([[float(cell or "nan") for cell in row] for row in rows])
+        table = dict(zip(head, cells.T, strict=True))
+        assert head[:6] == [f"{poses.keypoints[0]}_{field}" for field in columns]
+        assert head[-4:] == ["center_0", "center_1", "center_2", "fnum"]
+        assert table["fnum"].tolist() == poses.frames.tolist()
+        for k, name in enumerate(poses.keypoints):
+            for field, array in columns.items():
+                np.testing.assert_array_equal(table[f"{name}_{field}"], array[:, individual, k])
+
+
+def test_a_table_of_one_individual_is_not_written_beside_those_of_several(folder):
+    assert call(*TRIANGULATE, "matches.csv", "-o", "p.csv", folder=folder).status == 0
+    assert {"p_0.csv", "p_1.csv"} <= set(contents(folder))
+    (folder / "p_2.csv").touch()
+    done = call(*TRIANGULATE, "matches.csv", "-o", "p.csv", folder=folder)
+    assert "p_2.csv: expected no file of a further individual" in done.stderr[-1]
+    head, *rows = (folder / "matches.csv").read_text().splitlines()
+    alone = [row for row in rows if row.endswith(",0")]
+    for name, kept, words in (("one", alone, "p_0.csv"), ("none", [], "at least one individual")):
+        (folder / f"{name}.csv").write_text("\n".join([head, *kept]))
+        done = call(*TRIANGULATE, f"{name}.csv", "-o", "p.csv", folder=folder)
+        assert words in done.stderr[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        ("colmap", "cam1", "cam 1", "'cam 1'"),
+        (
+            "nerfstudio",
+            "distortions = [",
+            "distortions = [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, ",
+            "5 dist",
+        ),
+        ("openmvg", "size = [", "old = [", "the image size|one focal length"),
+    ],
+)
+def test_what_a_format_cannot_hold_is_refused_before_a_run(name, old, new, said, folder):
+    path = folder / "scene" / "intrinsics.toml"
+    rig_of = mc.read_cameras(path)
+    text = path.read_text()
+    if old == "cam1":
+        (folder / "scene" / "keypoints" / "cam1.json").rename(folder / "scene/keypoints/cam 1.json")
+    if name == "nerfstudio":
+        text = re.sub(r"distortions = \[[^\]]*\]", f"distortions = {[0.1] * 8}", text, count=1)
+    path.write_text(text.replace(f'"{old}"', f'"{new}"') if old == "cam1" else text)
+    assert len(rig_of) == 3
+    done = call(*RUN, "new", "--write", name, folder=folder)
+    assert done.status == 1
+    assert re.search(said, done.stderr[-1]), done.stderr
+    assert not (folder / "new").exists()
+
+
+def test_further_formats_are_written_beside_and_what_they_lose_is_reported(folder):
+    done = call(
+        *RUN[:-2], "-o", "new", "--write", "sleap-anipose", "--write", "opencv", folder=folder
+    )
+    assert done.status == 0
+    assert {"points3d.h5", "opencv/cam1.yml"} <= set(contents(folder / "new"))
+    assert any("sleap-anipose does not hold" in line for line in done.stderr)
+
+
+def test_what_was_filled_in_is_listed_beside_and_remarked(folder):
+    data = json.loads((folder / "scene" / "keypoints" / "cam1.json").read_text())
+    for annotation in data["annotations"][:4]:
+        annotation["keypoints"][:3] = [0, 0, 0]
+    (folder / "scene" / "keypoints" / "cam1.json").write_text(json.dumps(data))
+    cameras = ("--cameras", "scene/intrinsics.toml", "-q")
+    done = call("complete", "scene/keypoints", *cameras, "-o", "filled", folder=folder)
+    assert done.status == 0
+    listed = (folder / "filled" / "filled_in.tsv").read_text().splitlines()
+    assert listed[0] == "camera\tframe\tinstance\tkeypoint"
+    mine = sum(row.startswith("cam1\t") for row in listed)
+    assert mine >= 4
+    paths = ("left=filled/cam1.json", "filled/cam2.json", "filled/cam3.json")
+    done = call("run", *paths, "--no-report", "-o", "new", folder=folder)
+    said = f"left: {mine} keypoints filled in by `complete`, not measured"
+    assert said in "\n".join(done.stderr)
+    (folder / "filled" / "filled_in.tsv").write_bytes(b'camera\na\n"\0\xff')
+    assert call("inspect", "filled", folder=folder).status == 0
+
+
+@linux
+def test_a_path_that_is_not_utf8_is_escaped_where_results_name_it(folder):
+    keypoints = folder / "scene" / "keypoints"
+    path = (keypoints / "cam1.json").rename(keypoints / os.fsdecode(b"c\xff4.json"))
+    paths = (f"cam1={path}", keypoints / "cam2.json", keypoints / "cam3.json")
+    cameras = ("--cameras", "scene/intrinsics.toml", "--no-report", "-q")
+    assert call("run", *paths, *cameras, "-o", "new", folder=folder).status == 0
+    assert "c\\\\udcff4.json" in (folder / "new" / "run.json").read_text("utf-8")
