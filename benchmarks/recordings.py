@@ -1,10 +1,9 @@
-"""Runs the main job on real recordings and prints the README's table.
+"""Run the main job on real recordings, and print the README's table.
 
     .venv/bin/python benchmarks/recordings.py --recordings FOLDER [NAME ...]
 
-Each run is a process of its own that sees the keypoints and the intrinsics alone; rotation and
-translation errors come from `mocap-calib evaluate`, precision and recall from the known identities,
-the verdict from run.json. Those that go badly are shown as the others are.
+Each run is a process of its own that sees the keypoints and the intrinsics alone. Errors are those
+of the reference, precision and recall those of the known identities, the verdict that of run.json.
 """
 
 import argparse
@@ -14,40 +13,26 @@ import subprocess
 import sys
 import tempfile
 import time
-import tomllib
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from recording_folders import add_recordings
 
+import mocap_calib as mc
+
 TOOL = Path(sys.executable).with_name("mocap-calib")
 NAMES = (
-    "h36m_S1_walking",
-    "h36m_S1_mix",
-    "h36m_S6_mix",
-    "h36m_S5_multi3",
-    "shelf",
-    "pose2sim_single",
-    "humaneva_S1_projected",
-    "panoptic_band1_projected",
-    "mvor_openpose",
-    "acinoset_lily_run",
-    "two_dogs_projected",
-    "dannce_two_mice_projected",
-    "sleap_anipose_mouse",
-    "caliscope_4cam",
-    "eks_fly",
+    *("h36m_S1_walking", "h36m_S1_mix", "h36m_S6_mix", "h36m_S5_multi3", "shelf"),
+    *("pose2sim_single", "humaneva_S1_projected", "panoptic_band1_projected", "mvor_openpose"),
+    *("acinoset_lily_run", "two_dogs_projected", "dannce_two_mice_projected"),
+    *("sleap_anipose_mouse", "caliscope_4cam", "eks_fly"),
 )
-NOT_OBSERVABLE = "not observable"  # what run.json says of what a recording cannot tell
+NOT_OBSERVABLE = "not observable"  # in run.json, of what a recording does not determine
 HEADER = (
-    "recording",
-    "verdict",
-    "E_R median / max (deg)",
-    "E_t median (deg)",
-    "precision",
-    "recall",
-    "wall (s)",
+    *("recording", "verdict", "E_R median / max (deg)", "E_t median (deg)"),
+    *("precision", "recall", "wall (s)"),
 )
 
 
@@ -69,10 +54,10 @@ def row(recording: Path) -> str:
     """Run and judge one recording."""
     with tempfile.TemporaryDirectory() as work:
         out = Path(work) / "out"
+        command = (TOOL, "run", recording / "keypoints", "-o", out, "--seed", "0", "--quiet")
+        command += ("--cameras", recording / "intrinsics.toml", "--accept", "not-determined")
         start = time.perf_counter()
-        cameras = recording / "intrinsics.toml"
-        command = ["run", recording / "keypoints", "--cameras", cameras, "-o", out, "--seed", "0"]
-        done = run(*command, "--accept", "not-determined", "--quiet")
+        done = subprocess.run(command, check=False)
         wall = f"{time.perf_counter() - start:.1f}"
         figures = ["-"] * 4 if done.returncode else judge(recording, out)
         verdict = "refused" if done.returncode else read_verdict(out)
@@ -81,15 +66,13 @@ def row(recording: Path) -> str:
 
 def judge(recording: Path, out: Path) -> list[str]:
     """Return the cells of the figures that need the reference."""
-    done = run(
-        "evaluate", out / "cameras.yaml", "--reference", recording / "reference.toml", "--json"
-    )
-    found = json.loads(done.stdout)
-    rotation, translation = found["rotation_error_deg"], found["translation_error_deg"]
-    precision, recall = identities(recording, out / "matches.csv")
+    reference = mc.read_rig(recording / "reference.toml")
+    found = mc.evaluate(mc.read_rig(out / "cameras.yaml"), reference)
+    rotation, translation = np.degrees([found.rotation_error, found.translation_error])
+    precision, recall = identities(recording, reference.names, out / "matches.csv")
     return [
-        f"{rotation['median']:.2f} / {rotation['max']:.2f}",
-        f"{translation['median']:.2f}",
+        f"{np.median(rotation):.2f} / {rotation.max():.2f}",
+        f"{np.median(translation):.2f}",
         f"{precision:.3f}",
         f"{recall:.3f}",
     ]
@@ -102,40 +85,24 @@ def read_verdict(out: Path) -> str:
     return "; ".join([verdict["rig"], *(f"{name} {NOT_OBSERVABLE}" for name in open_matters)])
 
 
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """Run a command of the tool; its complaints go where ours go."""
-    return subprocess.run([TOOL, *arguments], stdout=subprocess.PIPE, text=True, check=False)
-
-
-def identities(recording: Path, matches: Path) -> tuple[float, float]:
-    """Return precision and recall of matches between views.
-
-    Over detections of known identity in all pairs of views.
-    """
+def identities(recording: Path, names: Sequence[str], matches: Path) -> tuple[float, float]:
+    """Return precision and recall of matches, over known detections in all pairs of views."""
     ids = np.load(recording / "truth.npz")["ids"]
-    names = [
-        entry["name"]
-        for entry in tomllib.loads((recording / "reference.toml").read_text()).values()
-    ]
     labels = np.full(ids.shape, -1)
     with matches.open(newline="") as file:
         for line in csv.DictReader(file):
             where = names.index(line["camera"]), int(line["frame"]), int(line["instance"])
             if where[2] < ids.shape[2]:
                 labels[where] = int(line["individual"])
-    good = matched = possible = 0
+    counts = np.zeros(3)  # right matches, matches, possible ones
     for a, b in combinations(range(len(ids)), 2):
+        same, joined = (
+            (of[a][:, :, None] == of[b][:, None]) & (of[a][:, :, None] >= 0) for of in (ids, labels)
+        )
         known = (ids[a][:, :, None] >= 0) & (ids[b][:, None] >= 0)
-        same = known & (ids[a][:, :, None] == ids[b][:, None])
-        joined = (
-            known & (labels[a][:, :, None] >= 0) & (labels[a][:, :, None] == labels[b][:, None])
-        )
-        good, matched, possible = (
-            good + int((same & joined).sum()),
-            matched + int(joined.sum()),
-            possible + int(same.sum()),
-        )
-    return good / max(matched, 1), good / max(possible, 1)
+        counts += (same & joined).sum(), (known & joined).sum(), same.sum()
+    right, matched, possible = np.maximum(counts, [0, 1, 1])
+    return right / matched, right / possible
 
 
 if __name__ == "__main__":

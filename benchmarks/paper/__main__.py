@@ -20,9 +20,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.progress import TimeRemainingColumn as Remaining
 
 from ..recording_folders import add_recordings
 from .cells import QUICK, WHOLE, Cell, Data, Line, Sizes, measure, plan
@@ -150,24 +147,20 @@ def measure_all(cells: Sequence[Cell], data: Data, options: argparse.Namespace) 
     known = {tuple(line[part] for part in KEY) for line in there}
     missing = [cell for cell in cells if tuple(getattr(cell, part) for part in KEY) not in known]
     options.results.parent.mkdir(parents=True, exist_ok=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    columns += (TimeElapsedColumn(), Remaining())
     failed = 0
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("cells", total=len(cells), completed=len(cells) - len(missing))
-        try:
-            for cell, line in measured(missing, data, options.workers):
-                if isinstance(line, Exception):
-                    failed += 1
-                    progress.console.print(f"{cell.name}: {type(line).__name__}: {line}")
-                else:
-                    with options.results.open("a", encoding="utf-8", newline="\n") as file:
-                        file.write(json.dumps(line) + "\n")
-                    progress.console.print(f"{cell.name}: {line['processor_s']:.0f} s")
-                progress.advance(task)
-        except KeyboardInterrupt:
-            tell(f"stopped; what was measured is in {options.results}, and the same goes on")
-            sys.exit(STOPPED)
+    try:
+        for number, (cell, line) in enumerate(measured(missing, data, options.workers), 1):
+            if isinstance(line, Exception):
+                failed += 1
+                result = f"{type(line).__name__}: {line}"
+            else:
+                with options.results.open("a", encoding="utf-8", newline="\n") as file:
+                    file.write(json.dumps(line) + "\n")
+                result = f"{line['processor_s']:.0f} s"
+            tell(f"{number}/{len(missing)} {cell.name}: {result}")
+    except KeyboardInterrupt:
+        tell(f"stopped; results are in {options.results}, and the same command continues")
+        sys.exit(STOPPED)
     return not failed
 
 
