@@ -148,6 +148,15 @@ DOORS = {  # module: where alone it is imported
 }
 
 
+def test_no_module_names_truth_and_reference():
+    """They are for judging; `simulate` writes both, and `evaluate` has one in its examples."""
+    for path in SOURCES:
+        text = path.read_text("utf-8")
+        assert "truth.npz" not in text or path.match("io/results/scene.py"), path
+        judges = path.match("io/results/scene.py") or path.is_relative_to(ROOT / "cli")
+        assert judges or "reference.toml" not in text, path
+
+
 def test_long_files_are_few():
     lengths = [len(path.read_text("utf-8").splitlines()) for path in SOURCES]
     assert sum(length > 330 for length in lengths) <= len(lengths) // 10
