@@ -28,7 +28,7 @@ def moved(rig, *, turn, shift, scale):
 
 
 def test_errors_know_no_similarity_and_are_turns_and_shifts(benchmark):
-    errors = benchmark("certainty_errors")
+    errors = benchmark("certainty")
     rig = scene(cameras=4, people=1).rig
     turn = matrix_from_vector(np.array([0.4, -1.0, 2.0]))
     same = moved(rig, turn=turn, shift=np.array([3.0, 1.0, -2.0]), scale=1.7)
@@ -43,7 +43,7 @@ def test_errors_know_no_similarity_and_are_turns_and_shifts(benchmark):
 
 
 def test_distances_of_draws_from_a_covariance_are_those_of_three_degrees_of_freedom(benchmark):
-    errors = benchmark("certainty_errors")
+    errors = benchmark("certainty")
     rng = np.random.default_rng(0)
     factor = rng.normal(size=(3, 3))
     covariance = np.zeros((500, 3, 500, 3))
