@@ -20,8 +20,8 @@ from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.cameras.write import write_cameras
-from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.kinds import choose_format
 from mocap_calib.io.poses.common import check_rate, describe_poses

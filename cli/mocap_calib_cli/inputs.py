@@ -28,7 +28,7 @@ from mocap_calib.config import (
     ViewGraphConfig,
 )
 from mocap_calib.errors import MismatchError, argument, spell_as_option
-from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.read import load_cameras, make_rig
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.file import decode, read_bytes
 from mocap_calib.io.results.further_formats import check_formats
@@ -250,7 +250,7 @@ def lift_with_model(
 def load_camera_file(path: str, option: str) -> CameraFile:
     """Return what a file, a folder or stdin says of cameras. Raises FormatError."""
     if path == STDIO:
-        return parse_content(read_stdin(option).encode(), "stdin")
+        return load_cameras(read_stdin(option).encode())
     return load_cameras(Path(path))
 
 

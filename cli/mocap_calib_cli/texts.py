@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 import click
 
 from mocap_calib.io.file import LARGEST_EXACT_FLOAT
-from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.recording.corrections import Exchanged, Mirrored, Moved, Resized, Rotated, Sides
 from mocap_calib.results import Mend
 from mocap_calib_cli.options import SharedOptions

@@ -131,7 +131,7 @@ def _list_formats(
     titles: dict[str, str] = {}
     for kind, formats in FORMATS.items():
         for each in formats if kind in kinds else ():
-            left_out = (each.only_written and read) or (not each.write and written)
+            left_out = (not each.read and read) or (not each.write and written)
             if not left_out and not (each.unit and unitless):
                 known = titles.get(each.name)
                 titles[each.name] = f"{known}; {each.title}" if known else each.title

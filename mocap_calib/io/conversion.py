@@ -4,7 +4,6 @@ Sources are paths, or the content of one file; without an output the result hold
 Where it is not said what the sources hold, or how to write them, ask `io.kinds`.
 """
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,24 +14,24 @@ import numpy as np
 from mocap_calib.errors import MismatchError, argument, count
 from mocap_calib.io.atomic import check_no_further_individual
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content, read_rig
+from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.cameras.write import format_rig, write_cameras
-from mocap_calib.io.file import read_bytes
-from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
-from mocap_calib.io.kinds import NAMELESS, OWN_POSES, Sources
-from mocap_calib.io.poses.axes import turn_up_axis
-from mocap_calib.io.poses.common import PoseFile, convert_unit
-from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.read import join_individuals, parse_poses
-from mocap_calib.io.poses.write import format_poses, write_poses
-from mocap_calib.io.registry import (
+from mocap_calib.io.document import NAMELESS
+from mocap_calib.io.format import (
     ending_of,
     find_format,
     names_by_ending,
 )
+from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
+from mocap_calib.io.kinds import OWN_POSES, Sources
+from mocap_calib.io.poses.axes import turn_up_axis
+from mocap_calib.io.poses.common import PoseFile, convert_unit
+from mocap_calib.io.poses.formats import POSE_FORMATS
+from mocap_calib.io.poses.read import join_individuals, load_poses
+from mocap_calib.io.poses.write import format_poses, write_poses
 from mocap_calib.io.units import ARBITRARY, unit_factor
 from mocap_calib.recording.names import check_pixels
 from mocap_calib.types import Keypoints2D
@@ -82,12 +81,8 @@ def convert_cameras(
     the source says of how far the cameras can be trusted is handed on. Raises
     FormatError and MismatchError as `load_cameras` and `write_cameras` do.
     """
-    if isinstance(source, bytes):
-        name = NAMELESS
-        found = parse_content(source, name, format, input_unit)
-    else:
-        name = str(source)
-        found = load_cameras(source, format, input_unit)
+    name = NAMELESS if isinstance(source, bytes) else str(source)
+    found = load_cameras(source, format, input_unit)
     found = _leave_out_unplaced(found)
     rig = make_rig(_fill_sizes(found, image_size, name), name)
     points = found.points
@@ -137,7 +132,7 @@ def convert_poses(
     """
     if isinstance(sources, bytes):
         name = NAMELESS
-        file = parse_poses(sources, name, format, input_unit)
+        file = load_poses(sources, format, input_unit)
     else:
         name = str(sources[0])
         file = _read_individuals(sources, format, input_unit)
@@ -178,10 +173,7 @@ def convert_keypoints(
     Raises FormatError and MismatchError as `read_keypoints` and `write_keypoints` do, and
     MismatchError where positions are shares of the image.
     """
-    if isinstance(sources, bytes):
-        views = _read_keypoint_content(sources, format, options)
-    else:
-        views = read_keypoints(sources, format, options)
+    views = read_keypoints(sources, format, options)
     for view in views:
         check_pixels(view)
     frames = sum(len(view.frames) for view in views)
@@ -258,7 +250,7 @@ def _add_cameras(file: PoseFile, source: Path) -> PoseFile:
 
 def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | None) -> PoseFile:
     """Read all individuals in files and folders of files. Raises FormatError and MismatchError."""
-    endings = names_by_ending(each for each in POSE_FORMATS if not each.only_written)
+    endings = names_by_ending(each for each in POSE_FORMATS if each.read is not None)
     paths: list[Path] = []
     for source in sources:
         if (source / OWN_POSES).is_file():  # the folder of a run
@@ -274,7 +266,7 @@ def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | N
             "none",
             "give the files themselves",
         )
-    files = [parse_poses(read_bytes(path), str(path), format, unit) for path in paths]
+    files = [load_poses(path, format, unit) for path in paths]
     return join_individuals(files, ", ".join(map(str, paths)))
 
 
@@ -294,16 +286,6 @@ def fill_rate(file: PoseFile, fps: float, source: str) -> PoseFile:
 
 
 # --- keypoints
-
-
-def _read_keypoint_content(
-    content: bytes, format: str | None, options: ReadOptions | None
-) -> tuple[Keypoints2D, ...]:
-    """Read the content of a keypoint file: readers ask for a path."""
-    with tempfile.TemporaryDirectory() as work:
-        path = Path(work) / NAMELESS
-        path.write_bytes(content)
-        return read_keypoints([path], format, options)
 
 
 def _collect_remarks(views: Sequence[Keypoints2D]) -> tuple[str, ...]:

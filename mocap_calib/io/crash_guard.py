@@ -14,9 +14,9 @@ from typing import TypeVar, TypeVarTuple
 
 from mocap_calib.compute.worker import Worker, WorkerEndedError
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.hdf5 import DEFLATE
 
-HDF5 = b"\x89HDF\r\n\x1a\n"
 _LARGE = 10_000_000  # bytes; such files have processes of their own
 _SECONDS = 2.0  # of computing that any file may take,
 _BYTES_A_SECOND = 1e5  # and a second more for each so many bytes
@@ -30,13 +30,11 @@ Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
 
 
-def guard_hdf5(start: bytes, size: int, source: str, parse: Callable[[*Ts], T], *args: *Ts) -> T:
-    """Return `parse(*args)` as `guard` does where what it parses is HDF5, else from this process.
-
-    start: the beginning of that. size: of it, in bytes.
-    """
-    if not start.startswith(HDF5):
+def guard_hdf5(document: Document, parse: Callable[[*Ts], T], *args: *Ts) -> T:
+    """Return `parse(*args)` as `guard` does where a document is HDF5, else from this process."""
+    if not document.is_hdf5:
         return parse(*args)
+    source, size = document.source, document.size
     return guard(parse, *args, what="HDF5 file", library="HDF5", source=source, size=size)
 
 

@@ -13,7 +13,7 @@ from mocap_calib.io.file import MOST_POINTS
 from mocap_calib.types import Ints
 
 if TYPE_CHECKING:
-    from mocap_calib.io.keypoints.document import Document
+    from mocap_calib.io.document import Document
 
 # what h5py and numpy raise on files that are cut, damaged, or compressed with a filter that is
 # not installed
@@ -28,6 +28,7 @@ HDF5_DAMAGE = (
     OverflowError,
     MemoryError,
 )
+HDF5 = b"\x89HDF\r\n\x1a\n"
 DEFLATE = 1032  # times: as tightly as deflate packs
 
 # how many bytes a dataset may unpack to: as many times what is stored (tracks of which a fiftieth

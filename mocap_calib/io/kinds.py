@@ -6,15 +6,9 @@ from pathlib import Path
 from mocap_calib.errors import MismatchError, argument, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import looks_like_cameras
-from mocap_calib.io.file import plain_path, read_bytes
-from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
-from mocap_calib.io.keypoints.items import SUFFIXES
-from mocap_calib.io.keypoints.read import looks_like_keypoints
-from mocap_calib.io.media import check_no_media
-from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.read import looks_like_poses
-from mocap_calib.io.registry import (
-    AnyFormat,
+from mocap_calib.io.file import plain_path
+from mocap_calib.io.format import (
+    Format,
     Kind,
     ending_of,
     format_names,
@@ -22,15 +16,20 @@ from mocap_calib.io.registry import (
     read_names,
     written_names,
 )
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
+from mocap_calib.io.keypoints.items import SUFFIXES
+from mocap_calib.io.keypoints.read import looks_like_keypoints
+from mocap_calib.io.media import check_no_media
+from mocap_calib.io.poses.formats import POSE_FORMATS
+from mocap_calib.io.poses.read import looks_like_poses
 
 # in the order in which content is looked at
-FORMATS: Mapping[Kind, tuple[AnyFormat, ...]] = {
+FORMATS: Mapping[Kind, tuple[Format, ...]] = {
     "poses": POSE_FORMATS,
     "keypoints": KEYPOINT_FORMATS,
     "cameras": CAMERA_FORMATS,
 }
 OWN_POSES = "poses3d.h5"  # in the folder of a run
-NAMELESS = "stdin"  # what complaints call content that comes without a path
 
 Sources = Sequence[str | Path] | bytes
 
@@ -157,11 +156,11 @@ def _looks_like(kind: Kind, sources: Sources) -> bool:
         first = min((file for file in path.iterdir() if file.is_file()), default=path)
     if not first.is_file():
         return False
-    return looks_like_poses(read_bytes(first)) if kind == "poses" else looks_like_cameras(path)
+    return looks_like_poses(first) if kind == "poses" else looks_like_cameras(path)
 
 
 def _content_looks_like(kind: Kind, content: bytes) -> bool:
     """Return whether the content of a file shows this kind; keypoints are told by elimination."""
     if kind == "poses":
         return looks_like_poses(content)
-    return kind == "cameras" and looks_like_cameras(Path(NAMELESS), content)
+    return kind == "cameras" and looks_like_cameras(content)

@@ -14,7 +14,7 @@ from mocap_calib.compute import identify_program
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import PAIR_SOLVERS, Config
 from mocap_calib.errors import ClusterError, MocapCalibError
-from mocap_calib.io.cameras.read import load_cameras, parse_content
+from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.file import plain_path
 from mocap_calib.io.hashing import hash_file, hash_inputs
@@ -202,4 +202,4 @@ def _load_camera_file(cameras: Path | bytes | None) -> CameraFile | None:
     """Return what a file or folder, or the content of a file, says of cameras."""
     if cameras is None:
         return None
-    return load_cameras(cameras) if isinstance(cameras, Path) else parse_content(cameras, "stdin")
+    return load_cameras(cameras)

@@ -17,13 +17,13 @@ from rigs import assert_same
 from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
 from mocap_calib.io.cameras.write import write_cameras
+from mocap_calib.io.format import format_names, names_by_ending
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.kinds import FORMATS
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.poses.write import write_poses
-from mocap_calib.io.registry import format_names, names_by_ending
 from mocap_calib_cli.inputs import calibration_request
 from mocap_calib_cli.options import SharedOptions
 
@@ -353,7 +353,7 @@ def test_run_writes_what_is_asked_for(tool, small, tmp_path):
 def test_run_and_batch_know_before_they_read_what_they_cannot_write(
     formats, fps, reason, monkeypatch
 ):
-    monkeypatch.setattr("mocap_calib.io.registry.find_spec", lambda _: None)
+    monkeypatch.setattr("mocap_calib.io.format.find_spec", lambda _: None)
     options = SharedOptions(write=tuple(formats), fps=fps)
     with pytest.raises(click.UsageError) as refused:
         calibration_request(options, Path("out"))
@@ -361,7 +361,7 @@ def test_run_and_batch_know_before_they_read_what_they_cannot_write(
 
 
 def test_a_format_with_times_needs_their_rate(monkeypatch):
-    monkeypatch.setattr("mocap_calib.io.registry.find_spec", lambda _: "it is there")
+    monkeypatch.setattr("mocap_calib.io.format.find_spec", lambda _: "it is there")
     with pytest.raises(click.UsageError, match="--write nwb-3d: expected the number of frames"):
         calibration_request(SharedOptions(write=("nwb-3d",)), Path("out"))
     options = SharedOptions(write=("nwb-3d",), fps=("30",))

@@ -9,7 +9,7 @@ from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_inputs
-from mocap_calib.io.keypoints.document import ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.types import Camera

@@ -9,7 +9,7 @@ import yaml
 from click.testing import CliRunner
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.keypoints.document import ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib_cli.commands.run import command as run
 from mocap_calib_cli.inputs import intrinsics_config

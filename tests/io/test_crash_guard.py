@@ -6,13 +6,16 @@ import os
 import signal
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 from platforms import linux, posix
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.crash_guard import HDF5, end_calls, guard_hdf5
+from mocap_calib.io.crash_guard import end_calls, guard_hdf5
+from mocap_calib.io.document import Document
+from mocap_calib.io.hdf5 import HDF5
 
 
 def process(_=None):
@@ -66,7 +69,7 @@ def computed_by_children():
 
 
 def inside(call, *args, content=HDF5):
-    return guard_hdf5(content, len(content), "there/x.h5", call, *args)
+    return guard_hdf5(Document(Path("there/x.h5"), given=content), call, *args)
 
 
 def test_only_hdf5_is_read_elsewhere():

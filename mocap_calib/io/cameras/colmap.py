@@ -16,13 +16,13 @@ from typing import Any
 from mocap_calib.io.cameras.common import COLMAP_LENSES
 from mocap_calib.io.cameras.source import (
     CameraFile,
-    Source,
     need_names,
     need_sizes,
     without_verdict,
 )
 from mocap_calib.io.crash_guard import guard
-from mocap_calib.io.registry import Written
+from mocap_calib.io.document import Document
+from mocap_calib.io.format import Written
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import CameraRig
@@ -40,40 +40,42 @@ _WITH_SPACES = "rename the camera, or write colmap-binary, which can hold spaces
 _NO_CONTROLS = (r"[^\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "no control characters")
 
 
-def sniff_binary(source: Source) -> bool:
+def sniff_binary(document: Document) -> bool:
     """Return whether this is a folder with cameras.bin."""
-    return source.folder and _CAMERAS + _BINARY in source.files
+    return document.is_folder and _CAMERAS + _BINARY in document.names
 
 
-def sniff_text(source: Source) -> bool:
+def sniff_text(document: Document) -> bool:
     """Return whether this is a folder with cameras.txt, or cameras.txt itself."""
-    if source.folder:
-        return _CAMERAS + _TEXT in source.files
-    if source.syntax != "yaml":
+    if document.is_folder:
+        return _CAMERAS + _TEXT in document.names
+    if document.syntax != "yaml":
         return False
-    rows = [line.split() for line in source.text.splitlines()[:8]]
+    rows = [line.split() for line in document.text.splitlines()[:8]]
     return any(len(row) > 1 and row[1] in COLMAP_LENSES for row in rows)
 
 
 # --- reading
 
 
-def parse_binary(source: Source) -> CameraFile:
+def parse_binary(document: Document) -> CameraFile:
     """Read the images of a binary model as cameras, with the points that they see.
 
     Without images there are the cameras alone, by their numbers. Raises FormatError.
     """
-    return _parse(source, _BINARY)
+    return _parse(document, _BINARY)
 
 
-def parse_text(source: Source) -> CameraFile:
+def parse_text(document: Document) -> CameraFile:
     """Read a text model as `parse_binary` does. Raises FormatError."""
-    return _parse(source, _TEXT)
+    return _parse(document, _TEXT)
 
 
-def _parse(source: Source, ending: str) -> CameraFile:
+def _parse(document: Document, ending: str) -> CameraFile:
     """Read a model, or its list of cameras alone. Raises FormatError."""
-    files = dict(source.files) if source.folder else {_CAMERAS + ending: source.content}
+    files = {_CAMERAS + ending: document.content}
+    if document.is_folder:
+        files = {each.path.name: each.content for each in document.documents()}
     with_images = _IMAGES + ending in files
     for name in (_CAMERAS, _IMAGES, _POINTS):
         files.setdefault(name + ending, _EMPTY[ending])
@@ -90,10 +92,10 @@ def _parse(source: Source, ending: str) -> CameraFile:
             Path(work),
             with_images,
             unit,
-            source.path,
+            document.source,
             what="COLMAP model",
             library="COLMAP",
-            source=source.path,
+            source=document.source,
             size=size,
             packed=False,
         )

@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from mocap_calib.io.cameras.intrinsics import make_extrinsics
-from mocap_calib.io.cameras.source import CameraFile, Source, unique
+from mocap_calib.io.cameras.source import CameraFile, unique
+from mocap_calib.io.document import Document
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, Floats
 
@@ -78,21 +79,21 @@ def pinhole_matrix(fx: Any, fy: Any, cx: Any, cy: Any) -> list[list[Any]]:
     return [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
 
 
-def has_json_entry(source: Source, *keys: str) -> bool:
+def has_json_entry(document: Document, *keys: str) -> bool:
     """Return whether a JSON mapping has an entry with the keys, at its top or in a list there."""
-    if source.syntax != "json" or not isinstance(source.tree, dict):
+    if document.syntax != "json" or not isinstance(document.tree, dict):
         return False
     entries: list[Any] = []
-    for value in source.tree.values():
+    for value in document.tree.values():
         entries += value if isinstance(value, list) else [value]
     return any(isinstance(entry, dict) and entry.keys() >= set(keys) for entry in entries)
 
 
-def has_json_item(source: Source, name: str, key: str) -> bool:
+def has_json_item(document: Document, name: str, key: str) -> bool:
     """Return whether the list of that name, at the top of JSON, has a mapping with the key."""
-    if not source.has("json", name) or not isinstance(source.tree[name], list):
+    if not document.has("json", name) or not isinstance(document.tree[name], list):
         return False
-    return any(isinstance(item, dict) and key in item for item in source.tree[name])
+    return any(isinstance(item, dict) and key in item for item in document.tree[name])
 
 
 def camera_of_image(name: str) -> str:

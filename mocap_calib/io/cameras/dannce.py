@@ -20,13 +20,13 @@ from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers, skew_in_pixels
 from mocap_calib.io.cameras.source import (
     CameraFile,
-    Source,
     terms,
     without_sizes,
     without_verdict,
 )
+from mocap_calib.io.document import Document
+from mocap_calib.io.format import Written
 from mocap_calib.io.matlab import read_mat
-from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _FIELDS = ("K", "RDistort", "TDistort", "r", "t")
@@ -36,22 +36,22 @@ _ONE_CAMERA_STEM = r"(?:hires_)?(?P<camera>.+?)(?:_params)?"
 _HEADER = rb"\AMATLAB 5.0 MAT-file.{96}"  # text of 116 bytes, with the time
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether MATLAB wrote the file."""
-    return source.syntax == "binary" and source.content.startswith(b"MATLAB")
+    return document.syntax == "binary" and document.content.startswith(b"MATLAB")
 
 
 # --- reading
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read all cameras of a file, or its one camera. Raises FormatError."""
-    params, names = _load(source)
+    params, names = _load(document)
     placed: list[PlacedCamera] = []
     notes: list[str] = []
     for index, fields in enumerate(params):
         name = names[index] if names else f"Camera{index + 1}"
-        where = f"{source.path}: camera {name}"
+        where = f"{document.source}: camera {name}"
         _check_fields(fields, where)
         matrix = numbers(fields["K"], "a 3 x 3 matrix K", where).T
         if _has_noise_skew(matrix):
@@ -67,27 +67,29 @@ def parse(source: Source) -> CameraFile:
         )
         rotation = numbers(fields["r"], "a 3 x 3 rotation r", where).T
         placed.append((camera, make_extrinsics(rotation, fields["t"], where)))
-    return collect_cameras(placed, source.path, notes=notes)
+    return collect_cameras(placed, document.source, notes=notes)
 
 
-def _load(source: Source) -> tuple[list[dict[str, Any]], list[str]]:
+def _load(document: Document) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the fields of every camera, and their names, which may be missing.
 
     Raises FormatError.
     """
-    if source.content.startswith(b"MATLAB 7.3"):
-        raise FormatError(source.path, "a .mat file of version 7 or below", "version 7.3", _REMEDY)
+    if document.content.startswith(b"MATLAB 7.3"):
+        raise FormatError(
+            document.source, "a .mat file of version 7 or below", "version 7.3", _REMEDY
+        )
     found = read_mat(
-        source.content,
+        document.content,
         ("params", "camnames", *_FIELDS),
-        source=source.path,
+        source=document.source,
         expected="a .mat file of Label3D or DANNCE",
         remedy=_REMEDY,
     )
     if "params" not in found and found.keys() >= set(_FIELDS):
-        name = re.fullmatch(_ONE_CAMERA_STEM, source.stem)
-        return [found], [name["camera"] if name else source.stem]
-    return _unpack_cells(found, source.path)
+        name = re.fullmatch(_ONE_CAMERA_STEM, document.stem)
+        return [found], [name["camera"] if name else document.stem]
+    return _unpack_cells(found, document.source)
 
 
 def _unpack_cells(found: Mapping[str, Any], source: str) -> tuple[list[dict[str, Any]], list[str]]:

@@ -15,46 +15,47 @@ from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.common import Extrinsics, PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.file_storage import format_file, format_matrix
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
-from mocap_calib.io.cameras.source import CameraFile, Source, need_names, terms
-from mocap_calib.io.registry import Written
+from mocap_calib.io.cameras.source import CameraFile, need_names, terms
+from mocap_calib.io.document import Document
+from mocap_calib.io.format import Written
 from mocap_calib.types import Camera, CameraRig
 
 _INTRINSICS = "intri.yml"
 _EXTRINSICS = "extri.yml"
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether this is a folder with intri.yml, or one of the two with its list of names."""
-    if source.folder:
-        return _INTRINSICS in source.files
-    return source.syntax == "yaml" and re.search(r"^names\s*:", source.text, re.M) is not None
+    if document.is_folder:
+        return _INTRINSICS in document.names
+    return document.syntax == "yaml" and re.search(r"^names\s*:", document.text, re.M) is not None
 
 
 # --- reading
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the cameras of both files, or of intri.yml alone. Raises FormatError."""
-    if not source.folder:
-        return _parse(source, None)
-    extrinsics = source.of(_EXTRINSICS) if _EXTRINSICS in source.files else None
-    return _parse(source.of(_INTRINSICS), extrinsics)
+    if not document.is_folder:
+        return _parse(document, None)
+    extrinsics = document.of(_EXTRINSICS) if _EXTRINSICS in document.names else None
+    return _parse(document.of(_INTRINSICS), extrinsics)
 
 
-def _parse(intrinsics: Source, extrinsics: Source | None) -> CameraFile:
+def _parse(intrinsics: Document, extrinsics: Document | None) -> CameraFile:
     """Read the cameras of the files. Raises FormatError."""
     places = extrinsics.mapping() if extrinsics else {}
     fields = intrinsics.mapping("names")
     names = fields["names"]
     if not isinstance(names, list):
         found = type(names).__name__
-        raise FormatError(intrinsics.path, "a list of names", found, "export the cameras again")
+        raise FormatError(intrinsics.source, "a list of names", found, "export the cameras again")
     placed: list[PlacedCamera] = []
     for name in map(str, names):
-        camera = _parse_camera(name, fields, intrinsics.path)
-        place = _parse_place(name, places, extrinsics.path) if extrinsics else None
+        camera = _parse_camera(name, fields, intrinsics.source)
+        place = _parse_place(name, places, extrinsics.source) if extrinsics else None
         placed.append((camera, place))
-    return collect_cameras(placed, intrinsics.path, unit=str(fields.get("unit", "")))
+    return collect_cameras(placed, intrinsics.source, unit=str(fields.get("unit", "")))
 
 
 def _parse_camera(name: str, fields: Mapping[str, Any], source: str) -> Camera:

@@ -4,9 +4,6 @@ Lengths keep the unit that the file states or that the format is defined in; a f
 either leaves it open ("arbitrary") until someone says it.
 """
 
-from collections.abc import Callable, Mapping
-from typing import Any
-
 from mocap_calib.io.cameras import (
     cameras_yaml,
     colmap,
@@ -23,19 +20,11 @@ from mocap_calib.io.cameras import (
     toml_files,
     voxelpose,
 )
-from mocap_calib.io.cameras.source import CameraFile, Source
-from mocap_calib.io.registry import Format, Written
-
-Provenance = Mapping[str, Any]
-CameraFormat = Format[
-    Callable[[Source], bool],
-    Callable[[Source], CameraFile],
-    Callable[..., Written],  # of a rig, provenance and, where the format has `points`, points
-]
+from mocap_calib.io.format import Format
 
 # in the order in which they are tried: what is particular comes first
 CAMERA_FORMATS = (
-    CameraFormat(
+    Format(
         kind="cameras",
         name="mocap-calib",
         title="mocap-calib cameras.yaml",
@@ -44,7 +33,7 @@ CAMERA_FORMATS = (
         write=cameras_yaml.write,
         endings=(".yaml", ".yml"),
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="caliscope",
         title="caliscope camera_array.toml",
@@ -53,7 +42,7 @@ CAMERA_FORMATS = (
         write=toml_files.write_caliscope,
         unit="m",
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="freemocap",
         title="FreeMoCap calibration.toml",
@@ -62,7 +51,7 @@ CAMERA_FORMATS = (
         write=toml_files.write_freemocap,
         unit="mm",
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="pose2sim",
         title="Pose2Sim Calib.toml",
@@ -71,7 +60,7 @@ CAMERA_FORMATS = (
         write=toml_files.write_pose2sim,
         unit="m",
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="anipose",
         title="anipose calibration.toml",
@@ -80,7 +69,7 @@ CAMERA_FORMATS = (
         write=toml_files.write_anipose,
         endings=(".toml",),
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="jarvis",
         title="JARVIS YAML",
@@ -90,7 +79,7 @@ CAMERA_FORMATS = (
         unit="mm",
         folder=True,
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="easymocap",
         title="EasyMocap intri.yml and extri.yml",
@@ -100,7 +89,7 @@ CAMERA_FORMATS = (
         unit="m",
         folder=True,
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="kalibr",
         title="Kalibr camchain",
@@ -108,14 +97,14 @@ CAMERA_FORMATS = (
         read=kalibr.parse,
         unit="m",
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="ros",
         title="ROS camera_info",
         sniff=opencv.sniff_ros,
         read=opencv.parse_ros,
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="opencv",
         title="OpenCV YAML",
@@ -124,7 +113,7 @@ CAMERA_FORMATS = (
         write=opencv.write,
         folder=True,
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="colmap-binary",
         title="COLMAP binary model",
@@ -134,7 +123,7 @@ CAMERA_FORMATS = (
         folder=True,
         points=True,
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="colmap",
         title="COLMAP text model",
@@ -144,7 +133,7 @@ CAMERA_FORMATS = (
         folder=True,
         points=True,
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="panoptic",
         title="CMU Panoptic JSON",
@@ -153,7 +142,7 @@ CAMERA_FORMATS = (
         write=panoptic.write,
         unit="cm",
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="voxelpose",
         title="VoxelPose JSON",
@@ -162,7 +151,7 @@ CAMERA_FORMATS = (
         write=voxelpose.write,
         unit="mm",
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="4d-association",
         title="4D-Association JSON",
@@ -171,7 +160,7 @@ CAMERA_FORMATS = (
         write=four_d_association.write,
         unit="m",
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="nerfstudio",
         title="nerfstudio transforms.json",
@@ -179,7 +168,7 @@ CAMERA_FORMATS = (
         read=nerfstudio.parse,
         write=nerfstudio.write,
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="openmvg",
         title="OpenMVG sfm_data.json",
@@ -187,7 +176,7 @@ CAMERA_FORMATS = (
         read=openmvg.parse,
         write=openmvg.write,
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="multiview-calib",
         title="multiview_calib JSON",
@@ -196,7 +185,7 @@ CAMERA_FORMATS = (
         write=multiview_calib.write,
         folder=True,
     ),
-    CameraFormat(
+    Format(
         kind="cameras",
         name="dannce",
         title="Label3D or DANNCE .mat",

@@ -14,31 +14,30 @@ from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, has_jso
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
 from mocap_calib.io.cameras.source import (
     CameraFile,
-    Source,
     cannot,
     entries,
-    need,
     need_sizes,
     terms,
     to_json,
     without_verdict,
 )
-from mocap_calib.io.registry import Written
+from mocap_calib.io.document import Document, need
+from mocap_calib.io.format import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _KEYS = ("K", "RT", "imgSize")
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether there are cameras with K and RT."""
-    return has_json_entry(source, *_KEYS)
+    return has_json_entry(document, *_KEYS)
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the cameras, which are called by their numbers. Raises FormatError."""
-    named = entries(source.tree, "cameras by number", source.path)
-    placed = [_parse_camera(name, fields, source.path) for name, fields in named]
-    return collect_cameras(placed, source.path)
+    named = entries(document.tree, "cameras by number", document.source)
+    placed = [_parse_camera(name, fields, document.source) for name, fields in named]
+    return collect_cameras(placed, document.source)
 
 
 def _parse_camera(name: str, fields: Mapping[str, Any], source: str) -> PlacedCamera:

@@ -14,38 +14,38 @@ from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numb
 from mocap_calib.io.cameras.source import (
     FILE_NAME,
     CameraFile,
-    Source,
     need_names,
     terms,
     without_sizes,
 )
-from mocap_calib.io.registry import Written
+from mocap_calib.io.document import Document
+from mocap_calib.io.format import Written
 from mocap_calib.types import CameraRig
 
 _MATRIX = r"^intrinsicMatrix\s*:"
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether the camera matrix has the name that JARVIS gives it."""
-    return source.syntax == "yaml" and re.search(_MATRIX, source.text, re.M) is not None
+    return document.syntax == "yaml" and re.search(_MATRIX, document.text, re.M) is not None
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the camera. Raises FormatError."""
-    data = source.mapping()
-    matrix = numbers(data.get("intrinsicMatrix"), "a 3 x 3 intrinsicMatrix", source.path)
+    data = document.mapping()
+    matrix = numbers(data.get("intrinsicMatrix"), "a 3 x 3 intrinsicMatrix", document.source)
     camera = make_camera(
-        name=source.stem,
+        name=document.stem,
         size=None,
         matrix=matrix.T,
         distortion=data.get("distortionCoefficients"),
         fisheye=False,
-        source=source.path,
+        source=document.source,
     )
     if "R" not in data or "T" not in data:
         return CameraFile((camera,), {})
-    rotation = numbers(data["R"], "a 3 x 3 rotation R", source.path)
-    extrinsics = make_extrinsics(rotation.T, data["T"], source.path)
+    rotation = numbers(data["R"], "a 3 x 3 rotation R", document.source)
+    extrinsics = make_extrinsics(rotation.T, data["T"], document.source)
     return CameraFile((camera,), {camera.name: extrinsics}, str(data.get("unit", "")))
 
 

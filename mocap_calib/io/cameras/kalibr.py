@@ -13,30 +13,31 @@ import numpy as np
 from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, pinhole_matrix
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
-from mocap_calib.io.cameras.source import CameraFile, Source, entries, need
+from mocap_calib.io.cameras.source import CameraFile, entries
+from mocap_calib.io.document import Document, need
 from mocap_calib.types import Camera, Floats
 
 _KEYS = ("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution")
 _DISTORTION_MODELS = ("radtan", "equidistant", "none")
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether this is YAML of cameras, all with intrinsics."""
-    if source.syntax != "yaml" or "intrinsics" not in source.text:
+    if document.syntax != "yaml" or "intrinsics" not in document.text:
         return False
-    if not isinstance(source.tree, dict) or not source.tree:
+    if not isinstance(document.tree, dict) or not document.tree:
         return False
-    cameras = source.tree.values()
+    cameras = document.tree.values()
     return all(isinstance(fields, dict) and "intrinsics" in fields for fields in cameras)
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the cameras in the order of the chain. Raises FormatError."""
-    named = entries(source.tree, "cameras cam0, cam1, ...", source.path)
+    named = entries(document.tree, "cameras cam0, cam1, ...", document.source)
     placed: list[PlacedCamera] = []
     from_world: Floats | None = np.eye(4)
     for name, fields in sorted(named, key=_order_in_chain):
-        where = f"{source.path}: camera {name}"
+        where = f"{document.source}: camera {name}"
         camera = _parse_camera(name, fields, where)
         if placed:
             from_world = _follow_chain(from_world, fields.get("T_cn_cnm1"), where)
@@ -45,7 +46,7 @@ def parse(source: Source) -> CameraFile:
         else:
             extrinsics = make_extrinsics(from_world[:3, :3], from_world[:3, 3], where)
             placed.append((camera, extrinsics))
-    return collect_cameras(placed, source.path)
+    return collect_cameras(placed, document.source)
 
 
 def _order_in_chain(camera: tuple[str, Mapping[str, Any]]) -> tuple[int, str]:

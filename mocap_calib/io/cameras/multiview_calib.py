@@ -21,15 +21,14 @@ from mocap_calib.io.cameras.common import (
 from mocap_calib.io.cameras.intrinsics import make_camera
 from mocap_calib.io.cameras.source import (
     CameraFile,
-    Source,
     entries,
-    need,
     need_names,
     terms,
     to_json,
     without_verdict,
 )
-from mocap_calib.io.registry import Written
+from mocap_calib.io.document import Document, need
+from mocap_calib.io.format import Written
 from mocap_calib.types import Camera, CameraRig
 
 _INTRINSICS = "intrinsics.json"
@@ -37,41 +36,41 @@ _GLOBAL_POSES = "global_poses.json"
 _POSES = (_GLOBAL_POSES, "ba_poses.json", "poses.json")  # the last that are made come first
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether this is a folder with intrinsics.json, or one of its files."""
-    if source.folder:
-        return _INTRINSICS in source.files
-    return has_json_entry(source, "K", "dist")
+    if document.is_folder:
+        return _INTRINSICS in document.names
+    return has_json_entry(document, "K", "dist")
 
 
 # --- reading
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the cameras of a folder, or of one of its files. Raises FormatError."""
-    merged = _merge_files(source)
+    merged = _merge_files(document)
     placed: list[PlacedCamera] = []
     for name, fields in merged.items():
-        where = f"{source.path}: camera {name}"
+        where = f"{document.source}: camera {name}"
         camera = _parse_camera(name, fields, where)
         placed.append((camera, extrinsics_if_given(fields, where)))
     first = next(iter(merged.values()))
-    return collect_cameras(placed, source.path, unit=str(first.get("unit", "")))
+    return collect_cameras(placed, document.source, unit=str(first.get("unit", "")))
 
 
-def _merge_files(source: Source) -> dict[str, dict[str, Any]]:
+def _merge_files(document: Document) -> dict[str, dict[str, Any]]:
     """Return the fields of each view, those beside poses in place of those of intrinsics.json.
 
     Raises FormatError.
     """
-    first = source.of(_INTRINSICS) if source.folder else source
-    merged = dict(entries(first.tree, "views with K and dist", first.path))
-    if not source.folder:
+    first = document.of(_INTRINSICS) if document.is_folder else document
+    merged = dict(entries(first.tree, "views with K and dist", first.source))
+    if not document.is_folder:
         return merged
     for file in _POSES:
-        if file in source.files:
-            poses = source.of(file)
-            for name, fields in entries(poses.tree, "views with R and t", poses.path):
+        if file in document.names:
+            poses = document.of(file)
+            for name, fields in entries(poses.tree, "views with R and t", poses.source):
                 merged[name] = merged.get(name, {}) | fields
             break
     return merged

@@ -25,15 +25,14 @@ from mocap_calib.io.cameras.common import (
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
 from mocap_calib.io.cameras.source import (
     CameraFile,
-    Source,
     entries,
-    need,
     need_sizes,
     terms,
     to_json,
 )
+from mocap_calib.io.document import Document, need
+from mocap_calib.io.format import Written
 from mocap_calib.io.provenance import plain_fields, read_judgement
-from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _OPENGL_AXES = np.array([1.0, -1.0, -1.0])
@@ -44,26 +43,26 @@ _FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
 _FOLDER = "images/"
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether there are frames with a transform_matrix."""
-    return has_json_item(source, "frames", "transform_matrix")
+    return has_json_item(document, "frames", "transform_matrix")
 
 
 # --- reading
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the frames as cameras, called after their images. Raises FormatError."""
-    data = source.mapping("frames")
+    data = document.mapping("frames")
     shared = {key: value for key, value in data.items() if key != "frames"}
     placed: list[PlacedCamera] = []
-    for number, frame in entries(data["frames"], "a list of frames", source.path):
-        where = f"{source.path}: frame {number}"
+    for number, frame in entries(data["frames"], "a list of frames", document.source):
+        where = f"{document.source}: frame {number}"
         fields = shared | frame
         path = str(fields.get("file_path", number)).removeprefix("./").removeprefix(_FOLDER)
         camera = _parse_camera(camera_of_image(path), fields, where)
         placed.append((camera, _parse_extrinsics(fields, where)))
-    found = collect_cameras(placed, source.path, unit=str(data.get("unit", "")))
+    found = collect_cameras(placed, document.source, unit=str(data.get("unit", "")))
     return replace(found, judgement=read_judgement(data.get("provenance")))
 
 

@@ -16,8 +16,9 @@ from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.common import Extrinsics
 from mocap_calib.io.cameras.file_storage import format_file, format_matrix
 from mocap_calib.io.cameras.intrinsics import describe_keys, make_camera, make_extrinsics
-from mocap_calib.io.cameras.source import FILE_NAME, CameraFile, Source, need_names
-from mocap_calib.io.registry import Written
+from mocap_calib.io.cameras.source import FILE_NAME, CameraFile, need_names
+from mocap_calib.io.document import Document
+from mocap_calib.io.format import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _MATRIX = ("camera_matrix", "K", "M1", "intrinsic_matrix", "k")
@@ -33,61 +34,61 @@ _OPENCV = rf"\A\s*%YAML|{_FILE_STORAGE_MATRIX}|^(camera_matrix|K|M1)\s*:"
 _CAMERA_INFO = r"^distortion_model\s*:"
 
 
-def sniff_ros(source: Source) -> bool:
+def sniff_ros(document: Document) -> bool:
     """Return whether this is a camera_info file, or what `rostopic echo` prints of the topic."""
-    if source.syntax != "yaml" or _FILE_STORAGE_MATRIX in source.text:
+    if document.syntax != "yaml" or _FILE_STORAGE_MATRIX in document.text:
         return False
-    return re.search(_CAMERA_INFO, source.text, re.M) is not None
+    return re.search(_CAMERA_INFO, document.text, re.M) is not None
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether FileStorage's header or matrices, or the name of a matrix, are there."""
-    return source.syntax == "yaml" and re.search(_OPENCV, source.text, re.M) is not None
+    return document.syntax == "yaml" and re.search(_OPENCV, document.text, re.M) is not None
 
 
 # --- reading
 
 
-def parse_ros(source: Source) -> CameraFile:
+def parse_ros(document: Document) -> CameraFile:
     """Read the intrinsics of a camera_info. Raises FormatError."""
-    data = source.mapping()
-    camera = _parse_camera(data, source)
+    data = document.mapping()
+    camera = _parse_camera(data, document)
     return CameraFile((camera,), {}, str(data.get("unit", "")))
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read one camera, under any of the names that people give to its fields.
 
     Raises FormatError.
     """
-    data = source.mapping()
-    camera = _parse_camera(data, source)
-    extrinsics = _parse_extrinsics(data, source.path)
+    data = document.mapping()
+    camera = _parse_camera(data, document)
+    extrinsics = _parse_extrinsics(data, document.source)
     placed = {} if extrinsics is None else {camera.name: extrinsics}
     return CameraFile((camera,), placed, str(data.get("unit", "")))
 
 
-def _parse_camera(data: Mapping[str, Any], source: Source) -> Camera:
+def _parse_camera(data: Mapping[str, Any], document: Document) -> Camera:
     """Return the camera without its place. Raises FormatError."""
     matrix = _first(data, _MATRIX)
     if matrix is None or "M2" in data:
         expected = f"one camera with its matrix under {', '.join(_MATRIX)}"
         found = "a stereo pair (M1, M2)" if "M2" in data else describe_keys(data)
-        raise FormatError(source.path, expected, found, "give one file per camera")
+        raise FormatError(document.source, expected, found, "give one file per camera")
     if isinstance(matrix, list) and len(matrix) == 9:
         matrix = {"rows": 3, "cols": 3, "data": matrix}
     model = str(data.get("distortion_model", data.get("model", ""))).lower()
     if model not in (*_FISHEYE_MODELS, *_PINHOLE_MODELS):
         expected = "the distortion model plumb_bob, rational_polynomial or equidistant"
-        raise FormatError(source.path, expected, model, "calibrate with one of them")
+        raise FormatError(document.source, expected, model, "calibrate with one of them")
     width, height = _first(data, _WIDTH), _first(data, _HEIGHT)
     return make_camera(
-        name=str(data.get("camera_name") or source.stem),
+        name=str(data.get("camera_name") or document.stem),
         size=None if width is None or height is None else [width, height],
         matrix=matrix,
         distortion=_first(data, _DISTORTION),
         fisheye=model in _FISHEYE_MODELS or data.get("fisheye") in (True, 1),
-        source=source.path,
+        source=document.source,
     )
 
 

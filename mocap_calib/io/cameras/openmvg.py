@@ -25,16 +25,15 @@ from mocap_calib.io.cameras.common import (
 from mocap_calib.io.cameras.intrinsics import make_camera, numbers
 from mocap_calib.io.cameras.source import (
     CameraFile,
-    Source,
     cannot,
     entries,
-    need,
     need_sizes,
     terms,
     to_json,
 )
+from mocap_calib.io.document import Document, need
+from mocap_calib.io.format import Written
 from mocap_calib.io.provenance import plain_fields, read_judgement
-from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
 
 # model -> the key of its distortion, and where k1 k2 p1 p2 k3 stand in it (None: it has no such)
@@ -51,23 +50,23 @@ _FIRST_TIME = 2147483648
 _NO_NAME = 1073741824
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether the file states a version of sfm_data."""
-    return source.has("json", "sfm_data_version", "views", "intrinsics")
+    return document.has("json", "sfm_data_version", "views", "intrinsics")
 
 
 # --- reading
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the views as cameras; those without intrinsics are left out. Raises FormatError."""
-    source.mapping("views", "intrinsics")
-    intrinsics = _parse_intrinsics(source)
-    poses = dict(_map_items(source, "extrinsics"))
+    document.mapping("views", "intrinsics")
+    intrinsics = _parse_intrinsics(document)
+    poses = dict(_map_items(document, "extrinsics"))
     placed: list[PlacedCamera] = []
     notes: list[str] = []
-    for key, value in _map_items(source, "views"):
-        where = f"{source.path}: view {key}"
+    for key, value in _map_items(document, "views"):
+        where = f"{document.source}: view {key}"
         view = _pointed_data(value)
         need(view, ("filename", "id_intrinsic"), where)
         name = camera_of_image(str(view["filename"]))
@@ -79,21 +78,21 @@ def parse(source: Source) -> CameraFile:
         camera = _parse_camera(name, model, fields, where)
         pose = poses.get(str(view.get("id_pose", "")))
         placed.append((camera, None if pose is None else _parse_pose(pose, where)))
-    unit = str(source.tree.get("unit", ""))
-    found = collect_cameras(placed, source.path, unit=unit, notes=notes)
-    return replace(found, judgement=read_judgement(source.tree.get("provenance")))
+    unit = str(document.tree.get("unit", ""))
+    found = collect_cameras(placed, document.source, unit=unit, notes=notes)
+    return replace(found, judgement=read_judgement(document.tree.get("provenance")))
 
 
-def _map_items(source: Source, name: str) -> list[tuple[str, dict[str, Any]]]:
+def _map_items(document: Document, name: str) -> list[tuple[str, dict[str, Any]]]:
     """Return (key, value) of one of the file's maps; extrinsics may be missing.
 
     Raises FormatError.
     """
-    if name == "extrinsics" and not source.tree.get(name):
+    if name == "extrinsics" and not document.tree.get(name):
         return []
-    where = f"{source.path}: {name}"
+    where = f"{document.source}: {name}"
     items = []
-    for _, entry in entries(source.tree[name], f"a list of {name}", source.path):
+    for _, entry in entries(document.tree[name], f"a list of {name}", document.source):
         need(entry, ("key", "value"), where)
         value = entry["value"]
         if not isinstance(value, dict):
@@ -110,11 +109,11 @@ def _pointed_data(value: Mapping[str, Any]) -> dict[str, Any]:
     return data if isinstance(data, dict) else {}
 
 
-def _parse_intrinsics(source: Source) -> dict[str, tuple[str, dict[str, Any]]]:
+def _parse_intrinsics(document: Document) -> dict[str, tuple[str, dict[str, Any]]]:
     """Return the intrinsics: key -> model and fields. Raises FormatError."""
     models: dict[int, str] = {}
     found = {}
-    for key, value in _map_items(source, "intrinsics"):
+    for key, value in _map_items(document, "intrinsics"):
         number = value.get("polymorphic_id")
         number = number % _FIRST_TIME if isinstance(number, int) else -1
         if "polymorphic_name" in value:

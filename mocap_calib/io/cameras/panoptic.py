@@ -16,30 +16,29 @@ from mocap_calib.io.cameras.common import (
 from mocap_calib.io.cameras.intrinsics import make_camera
 from mocap_calib.io.cameras.source import (
     CameraFile,
-    Source,
     entries,
-    need,
     need_sizes,
     terms,
     to_json,
 )
+from mocap_calib.io.document import Document, need
+from mocap_calib.io.format import Written
 from mocap_calib.io.provenance import plain_fields, read_judgement
-from mocap_calib.io.registry import Written
 from mocap_calib.types import CameraRig
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether there is a list of cameras with distCoef."""
-    return has_json_item(source, "cameras", "distCoef")
+    return has_json_item(document, "cameras", "distCoef")
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the cameras. Raises FormatError."""
-    data = source.mapping("cameras")
+    data = document.mapping("cameras")
     placed: list[PlacedCamera] = []
-    for number, fields in entries(data["cameras"], "a list of cameras", source.path):
+    for number, fields in entries(data["cameras"], "a list of cameras", document.source):
         name = str(fields.get("name", number))
-        where = f"{source.path}: camera {name}"
+        where = f"{document.source}: camera {name}"
         need(fields, ("K", "distCoef"), where)
         camera = make_camera(
             name=name,
@@ -50,7 +49,7 @@ def parse(source: Source) -> CameraFile:
             source=where,
         )
         placed.append((camera, extrinsics_if_given(fields, where)))
-    found = collect_cameras(placed, source.path)
+    found = collect_cameras(placed, document.source)
     return replace(found, judgement=read_judgement(data.get("provenance")))
 
 

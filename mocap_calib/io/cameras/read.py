@@ -17,15 +17,14 @@ from mocap_calib.io.cameras.formats import (
     CAMERA_FORMATS,
     FOLDER_ENDINGS,
     ONE_CAMERA_ENDINGS,
-    CameraFormat,
 )
-from mocap_calib.io.cameras.intrinsics import describe_keys
-from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files, unique
-from mocap_calib.io.file import read_bytes
+from mocap_calib.io.cameras.source import CameraFile, join_camera_files, unique
+from mocap_calib.io.crash_guard import guard_hdf5
+from mocap_calib.io.document import NAMELESS, Document
+from mocap_calib.io.format import Format, expected_formats, require_format, sniff
 from mocap_calib.io.media import name_media
 from mocap_calib.io.names import camera_name
 from mocap_calib.io.provenance import read_description
-from mocap_calib.io.registry import find_format, format_names
 from mocap_calib.io.units import ARBITRARY, known_unit, refuse_unit
 from mocap_calib.recording.names import compose_name
 from mocap_calib.types import Camera, CameraRig
@@ -79,51 +78,47 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
 
 
 def load_cameras(
-    path: str | Path, format: str | None = None, unit: str | None = None
+    path: str | Path | bytes, format: str | None = None, unit: str | None = None
 ) -> CameraFile:
     """Read all that a file or a folder says of cameras; the arguments are those of `read_rig`.
 
+    path: or the content of a file.
+
     Raises FormatError and MismatchError.
     """
+    if isinstance(path, bytes):
+        return load_document(Document(Path(NAMELESS), given=path), format, unit)
     path = Path(path)
     if path.is_dir():
         return _load_folder(path, format, unit)
     if found := name_media(path):
-        raise FormatError(str(path), _expected_formats(), found, _REMEDY)
-    return parse_content(read_bytes(path), str(path), format, unit)
+        raise FormatError(str(path), expected_formats(CAMERA_FORMATS), found, _REMEDY)
+    return load_document(Document(path), format, unit)
 
 
-def parse_content(
-    content: bytes, source: str, format: str | None = None, unit: str | None = None
-) -> CameraFile:
-    """Return what `load_cameras` does of the content of one file; `source` stands for its path."""
-    file = Source(source, {Path(source).name or source: content})
-    for each in _candidates(format):
-        # a format that is named is taken at its word: its own complaint says more
-        if format is not None or each.sniff(file):
-            return _complete(_read_judged(each, file), each, source, unit)
-    raise _unknown(file)
+def load_document(document: Document, format: str | None, unit: str | None) -> CameraFile:
+    """Read all that a document says of cameras, see `load_cameras`."""
+    # a format that is named is taken at its word: its own complaint says more
+    if format is not None and not document.is_folder:
+        document = replace(document, format=format)
+    known = guard_hdf5(document, require_format, CAMERA_FORMATS, document, format, _REMEDY)
+    return _complete(_read_judged(known, document), known, document.source, unit)
 
 
-def looks_like_cameras(path: Path, content: bytes | None = None) -> bool:
+def looks_like_cameras(path: Path | bytes) -> bool:
     """Return whether a file (or its content) or a folder is of one of the camera formats.
 
     Raises FormatError where its JSON, TOML or YAML is broken.
     """
-    if content is None and path.is_dir():
-        return _folder_looks_like_cameras(path)
-    file = Source(str(path), {path.name: read_bytes(path) if content is None else content})
-    return any(each.sniff(file) for each in CAMERA_FORMATS)
-
-
-def _folder_looks_like_cameras(path: Path) -> bool:
-    """Return whether the names of a folder's files, or the first file, are of a camera format."""
-    names = [file.name for file in path.iterdir() if file.suffix.lower() in FOLDER_ENDINGS]
-    folder = Source(str(path), dict.fromkeys(names, b""), folder=True)
-    if any(each.sniff(folder) for each in CAMERA_FORMATS if each.folder):
+    if isinstance(path, bytes):
+        return bool(sniff(CAMERA_FORMATS, Document(Path(NAMELESS), given=path)))
+    if not path.is_dir():
+        return bool(sniff(CAMERA_FORMATS, Document(path)))
+    files = _list_files(path, FOLDER_ENDINGS)
+    if files and sniff(CAMERA_FORMATS, Document(path, members=tuple(files))):
         return True
-    files = _list_files(path, ONE_CAMERA_ENDINGS)
-    return bool(files) and looks_like_cameras(files[0])
+    single = _list_files(path, ONE_CAMERA_ENDINGS)
+    return bool(single) and looks_like_cameras(single[0])
 
 
 def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile:
@@ -131,21 +126,15 @@ def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile
     files = _list_files(path, FOLDER_ENDINGS)
     if not files:
         raise _no_camera_files(path, FOLDER_ENDINGS, "none")
-    names = {file.name for file in files}
-    if _OWN in names and names & _BESIDE_OWN:
+    folder = Document(path, members=tuple(files))
+    if _OWN in folder.names and set(folder.names) & _BESIDE_OWN:
         return load_cameras(path / _OWN, format, unit)
-    contents = {file.name: read_bytes(file) for file in files}
-    folder = Source(str(path), contents, folder=True)
-    for each in _candidates(format):
-        if each.sniff(folder):
-            return _complete(_read_judged(each, folder), each, str(path), unit)
-    parts = [
-        parse_content(content, f"{path}/{name}", format, unit)
-        for name, content in contents.items()
-        if name.lower().endswith(ONE_CAMERA_ENDINGS)
-    ]
-    if not parts:
-        raise _no_camera_files(path, ONE_CAMERA_ENDINGS, ", ".join(contents))
+    if shown := sniff(CAMERA_FORMATS, folder, format):
+        return load_document(replace(folder, format=shown), format, unit)
+    single = [file for file in files if file.suffix.lower() in ONE_CAMERA_ENDINGS]
+    if not single:
+        raise _no_camera_files(path, ONE_CAMERA_ENDINGS, ", ".join(folder.names))
+    parts = [load_document(Document(file), format, unit) for file in single]
     return reduce(lambda found, more: join_camera_files(found, more, str(path)), parts)
 
 
@@ -163,38 +152,15 @@ def _no_camera_files(path: Path, endings: tuple[str, ...], found: str) -> Format
     return FormatError(str(path), expected, found, "give the file itself")
 
 
-def _candidates(format: str | None) -> tuple[CameraFormat, ...]:
-    """Return the format that is named, or all of them."""
-    return CAMERA_FORMATS if format is None else (find_format(CAMERA_FORMATS, format),)
-
-
-def _unknown(file: Source) -> FormatError:
-    """Return the complaint about a file that is of no camera format."""
-    if not file.content.strip():
-        found = "an empty file"
-    elif file.syntax == "json" and isinstance(file.tree, dict):
-        found = f"a JSON object with {describe_keys(file.tree)}"
-    elif file.syntax != "binary" and file.text.strip():
-        found = f"text that begins with {' '.join(file.text.split())[:20]!r}"
-    else:
-        found = "another file"
-    return FormatError(file.path, _expected_formats(), found, _REMEDY)
-
-
-def _expected_formats() -> str:
-    """Return the formats that are read, for complaints."""
-    return f"cameras, one of: {', '.join(format_names(CAMERA_FORMATS))}"
-
-
-def _read_judged(form: CameraFormat, source: Source) -> CameraFile:
-    """Return what a source says, with the verdict in its comments where it has none elsewhere.
+def _read_judged(form: Format, document: Document) -> CameraFile:
+    """Return what a document says, with the verdict in its comments where it has none elsewhere.
 
     Raises FormatError.
     """
-    found = _compose_names(form.read(source), source.path)
+    found = _compose_names(form.reader()(document), document.source)
     if found.judgement:
         return found
-    comments = (read_comments(content) for content in source.files.values())
+    comments = (read_comments(each.content) for each in document.documents())
     judged = (read_description(lines) for lines in comments)
     return replace(found, judgement=next(filter(None, judged), {}))
 
@@ -209,7 +175,7 @@ def _compose_names(found: CameraFile, source: str) -> CameraFile:
     return replace(found, cameras=unique(cameras, source), extrinsics=extrinsics)
 
 
-def _complete(found: CameraFile, form: CameraFormat, source: str, unit: str | None) -> CameraFile:
+def _complete(found: CameraFile, form: Format, source: str, unit: str | None) -> CameraFile:
     """Return what was found with its unit of length, and notes of cameras in one place.
 
     The unit is what the file states, else the user, else the format. Raises MismatchError where

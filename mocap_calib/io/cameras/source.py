@@ -1,95 +1,25 @@
-"""What is read: files in memory and the cameras they hold; and what readers and writers share.
-
-A `Source` is one file, or the files of a folder. It knows the syntax of its text and parses it
-once.
-"""
+"""The cameras that a file holds, and what readers and writers of cameras share."""
 
 import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.cameras.syntax import is_toml, parse_json, parse_toml, parse_yaml
-from mocap_calib.io.file import decode, find_repeated
+from mocap_calib.io.file import find_repeated
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, CameraClock, CameraRig, Floats, World
 
-_BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
-_PARSERS = {"json": parse_json, "toml": parse_toml, "yaml": parse_yaml}
 _REMEDY = "export the cameras again"
 # what names may be that become those of files: a pattern, and words for it
 FILE_NAME = (
     r"(?!\.)[^\x00-\x1f\x7f-\x9f/\\\"\u2028\u2029\ud800-\udfff]{1,80}",
     "characters that a file name may have",
 )
-
-
-@dataclass(frozen=True)
-class Source:
-    """The files at `path` by their names (one file, unless it is a folder)."""
-
-    path: str
-    files: Mapping[str, bytes]
-    folder: bool = False
-
-    def of(self, name: str) -> "Source":
-        """Return one file of the folder."""
-        return Source(f"{self.path}/{name}", {name: self.files[name]})
-
-    @property
-    def content(self) -> bytes:
-        """The one file's content."""
-        return next(iter(self.files.values()))
-
-    @property
-    def stem(self) -> str:
-        """The one file's name without its ending."""
-        return PurePath(next(iter(self.files))).stem
-
-    @cached_property
-    def text(self) -> str:
-        """The one file's text. Raises FormatError."""
-        return decode(self.content, self.path)
-
-    @cached_property
-    def syntax(self) -> str:
-        """`folder`, `binary`, `json`, `toml` or `yaml` (which is any other text)."""
-        if self.folder:
-            return "folder"
-        if self.content.startswith(_BINARY) or b"\x00" in self.content[:512]:
-            return "binary"
-        if is_toml(self.text):
-            return "toml"
-        return "json" if re.match(r"\s*[\[{]", self.text) else "yaml"
-
-    @cached_property
-    def tree(self) -> Any:
-        """The parsed text. Raises FormatError, also where a key occurs twice."""
-        if self.syntax not in _PARSERS:
-            found = "a folder" if self.folder else "a binary file"
-            raise FormatError(self.path, "text", found, "name another format")
-        return _PARSERS[self.syntax](self.text, self.path)
-
-    def mapping(self, *keys: str) -> dict[str, Any]:
-        """Return the parsed text, which is a mapping with the keys. Raises FormatError."""
-        if not isinstance(self.tree, dict):
-            found = type(self.tree).__name__
-            raise FormatError(self.path, "a mapping of names to fields", found, _REMEDY)
-        need(self.tree, keys, self.path)
-        return self.tree
-
-    def has(self, syntax: str, *keys: str) -> bool:
-        """Return whether the file is a mapping of that syntax with all of the keys."""
-        if self.syntax != syntax or not isinstance(self.tree, dict):
-            return False
-        return self.tree.keys() >= set(keys)
 
 
 @dataclass(frozen=True)
@@ -152,14 +82,6 @@ def entries(value: Any, what: str, source: str) -> list[tuple[str, dict[str, Any
     if not all(isinstance(fields, dict) for _, fields in pairs):
         raise FormatError(source, what, f"{type(value).__name__} of something else", _REMEDY)
     return [(str(name), fields) for name, fields in pairs]
-
-
-def need(fields: Mapping[str, Any], keys: Iterable[str], source: str) -> None:
-    """Raise FormatError where a key is missing."""
-    missing = [key for key in keys if key not in fields]
-    if missing:
-        expected = f"the keys {', '.join(keys)}"
-        raise FormatError(source, expected, f"none of {', '.join(missing)}", _REMEDY)
 
 
 def whole(value: Any, expected: str, source: str) -> int:

@@ -23,10 +23,11 @@ from mocap_calib.io.cameras.own import (
     format_calibration_toml,
     toml_fields,
 )
-from mocap_calib.io.cameras.source import CameraFile, Source, need_sizes, terms
+from mocap_calib.io.cameras.source import CameraFile, need_sizes, terms
 from mocap_calib.io.cameras.toml_text import dump_toml
+from mocap_calib.io.document import Document
+from mocap_calib.io.format import Written
 from mocap_calib.io.provenance import plain_fields, read_judgement
-from mocap_calib.io.registry import Written
 from mocap_calib.io.world_fields import read_world
 from mocap_calib.types import Camera, CameraRig
 
@@ -34,44 +35,44 @@ from mocap_calib.types import Camera, CameraRig
 _NOT_CAMERAS = ("metadata", "capture_volume", "charuco", "checkerboard")
 
 
-def sniff_caliscope(source: Source) -> bool:
+def sniff_caliscope(document: Document) -> bool:
     """Return whether cameras are one level down, by number."""
-    if not source.has("toml", "cameras"):
+    if not document.has("toml", "cameras"):
         return False
-    return any("cam_id" in fields for fields in _tables(source.tree["cameras"]))
+    return any("cam_id" in fields for fields in _tables(document.tree["cameras"]))
 
 
-def sniff_freemocap(source: Source) -> bool:
+def sniff_freemocap(document: Document) -> bool:
     """Return whether the file says twice where the cameras stand."""
-    if source.syntax != "toml":
+    if document.syntax != "toml":
         return False
-    return any("world_position" in fields for fields in _tables(source.tree))
+    return any("world_position" in fields for fields in _tables(document.tree))
 
 
-def sniff_pose2sim(source: Source) -> bool:
+def sniff_pose2sim(document: Document) -> bool:
     """Return whether sections are named as their cameras, and sizes are no integers to TOML."""
-    if source.syntax != "toml":
+    if document.syntax != "toml":
         return False
     cameras = [
         (name, fields)
-        for name, fields in source.tree.items()
+        for name, fields in document.tree.items()
         if isinstance(fields, dict) and "matrix" in fields
     ]
     return bool(cameras) and all(_is_pose2sim_camera(name, fields) for name, fields in cameras)
 
 
-def sniff_anipose(source: Source) -> bool:
+def sniff_anipose(document: Document) -> bool:
     """Return whether the file is TOML of any content."""
-    return source.syntax == "toml"
+    return document.syntax == "toml"
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the cameras in TOML of any of the programs. Raises FormatError."""
-    data = source.mapping()
+    data = document.mapping()
     sections = list(_sections(data))
     if not sections:
         raise FormatError(
-            source.path,
+            document.source,
             "sections with a camera's size, matrix and distortions",
             describe_keys(data) or "nothing",
             "export anipose's calibration.toml",
@@ -83,7 +84,7 @@ def parse(source: Source) -> CameraFile:
         if not isinstance(fields.get("matrix"), list):
             notes.append(f"camera {name} has no intrinsics and is left out")
             continue
-        where = f"{source.path}: camera {name}"
+        where = f"{document.source}: camera {name}"
         camera = _parse_camera(name, fields, where)
         placed.append((camera, _parse_extrinsics(fields, where)))
         if fields.get("rotation_count", 0) != 0:
@@ -92,7 +93,9 @@ def parse(source: Source) -> CameraFile:
                 "were recorded"
             )
     metadata = _find_metadata(data)
-    found = collect_cameras(placed, source.path, unit=str(metadata.get("unit", "")), notes=notes)
+    found = collect_cameras(
+        placed, document.source, unit=str(metadata.get("unit", "")), notes=notes
+    )
     return replace(
         found,
         judgement=read_judgement(metadata.get("provenance")),

@@ -21,42 +21,41 @@ from mocap_calib.io.cameras.common import (
 from mocap_calib.io.cameras.intrinsics import make_camera, numbers
 from mocap_calib.io.cameras.source import (
     CameraFile,
-    Source,
     entries,
-    need,
     terms,
     to_json,
     without_sizes,
     without_verdict,
 )
-from mocap_calib.io.registry import Written
+from mocap_calib.io.document import Document, need
+from mocap_calib.io.format import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _PINHOLE = ("fx", "fy", "cx", "cy")
 _KEYS = ("R", "T", *_PINHOLE)
 
 
-def sniff(source: Source) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether there are cameras with fx and T, by number or in a sequence's list."""
-    return has_json_entry(source, *_KEYS)
+    return has_json_entry(document, *_KEYS)
 
 
 # --- reading
 
 
-def parse(source: Source) -> CameraFile:
+def parse(document: Document) -> CameraFile:
     """Read the cameras. Raises FormatError."""
-    data: Any = source.mapping()
+    data: Any = document.mapping()
     sequences = [value for value in data.values() if isinstance(value, list)]
     if len(sequences) > 1:
         found = f"{len(sequences)} sequences"
         remedy = "keep one of them in the file"
-        raise FormatError(source.path, "the cameras of one sequence", found, remedy)
+        raise FormatError(document.source, "the cameras of one sequence", found, remedy)
     cameras = sequences[0] if sequences else data
     placed: list[PlacedCamera] = []
-    for number, fields in entries(cameras, "cameras by number", source.path):
+    for number, fields in entries(cameras, "cameras by number", document.source):
         name = str(fields.get("name", number))
-        where = f"{source.path}: camera {name}"
+        where = f"{document.source}: camera {name}"
         need(fields, _KEYS, where)
         camera = make_camera(
             name=name,
@@ -67,7 +66,7 @@ def parse(source: Source) -> CameraFile:
             source=where,
         )
         placed.append((camera, extrinsics_from_centre(fields["R"], fields["T"], where)))
-    return collect_cameras(placed, source.path)
+    return collect_cameras(placed, document.source)
 
 
 def _parse_distortion(fields: Mapping[str, Any], where: str) -> Floats:

@@ -8,8 +8,8 @@ from typing import Any
 from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
 from mocap_calib.io.cameras.comments import add_comments, describe_estimates
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS, FOLDER_ENDINGS
+from mocap_calib.io.format import Written, find_format
 from mocap_calib.io.provenance import describe_judgement
-from mocap_calib.io.registry import Written, find_format
 from mocap_calib.io.units import unit_factor
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import CameraRig

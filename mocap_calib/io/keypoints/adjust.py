@@ -12,7 +12,7 @@ import numpy as np
 from mocap_calib.config import LARGEST_SHARE, LEAST_SHARE
 from mocap_calib.errors import MismatchError, argument
 from mocap_calib.io.file import LARGEST_FRAME
-from mocap_calib.io.keypoints.document import ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.recording.names import compose_name
 from mocap_calib.types import Keypoints2D
 

@@ -8,8 +8,9 @@ which all cameras share; older files call the columns `port` and `point_id` inst
 import numpy as np
 
 from mocap_calib.errors import FormatError, argument
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.document import Document
 from mocap_calib.io.keypoints.long_table import Points, views_from_points
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.table_cells import Cells, read_cells
 from mocap_calib.types import Keypoints2D
 
@@ -19,13 +20,13 @@ def sniff(document: Document) -> bool:
     return {"sync_index", "img_loc_x", "img_loc_y"} <= set(document.header)
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the cameras of the table; keypoints are called as the layout says, else by number.
 
     Raises FormatError.
     """
-    camera_column, keypoint_column = _find_columns(item)
-    cells = read_cells(item)
+    camera_column, keypoint_column = _find_columns(document)
+    cells = read_cells(document)
     keypoints = cells.columns[keypoint_column]
     if options.layout:
         keypoints = _name_keypoints(keypoints, options.layout, cells)
@@ -38,17 +39,17 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         values=np.column_stack([cells.numbers("img_loc_x"), cells.numbers("img_loc_y"), scores]),
         lines=cells.lines,
     )
-    return views_from_points(points, item, tracked=True)
+    return views_from_points(points, document, tracked=True)
 
 
-def _find_columns(item: Item) -> tuple[str, str]:
+def _find_columns(document: Document) -> tuple[str, str]:
     """Return the names of the columns of cameras and of keypoints. Raises FormatError."""
-    header = item.document.header
+    header = document.header
     camera = next((name for name in ("cam_id", "port") if name in header), None)
     keypoint = next((name for name in ("keypoint_id", "point_id") if name in header), None)
     if camera is None or keypoint is None:
         raise FormatError(
-            item.origin.source,
+            document.source,
             "the columns cam_id (or port) and keypoint_id (or point_id)",
             ",".join(header),
             "export it from caliscope again",

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import (
     Origin,
     blank,
@@ -19,7 +20,7 @@ from mocap_calib.io.file import (
     visibility_as_confidence,
 )
 from mocap_calib.io.keypoints.coco_images import Entry, frame_numbers, image_size, images_by_camera
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _LISTS = {"images", "annotations", "categories"}
@@ -31,15 +32,15 @@ def sniff(document: Document) -> bool:
     return isinstance(document.json, dict) and bool(_LISTS & document.json.keys())
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the camera of the file, or several cameras where the images say so.
 
     All `images` are frames, also those without annotations. The instance is the position among the
     image's annotations in file order; annotations of categories without keypoints do not count.
     Raises FormatError.
     """
-    source = item.origin.source
-    data = _check_lists(item.document.json, source)
+    source = document.source
+    data = _check_lists(document.json, source)
     images = _entries(data, "images", source)
     annotations = _entries(data, "annotations", source)
     if not images:
@@ -54,7 +55,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     _check_ids(images, annotations, source)
     return tuple(
         _view(Origin(camera, source), images_of_camera, annotations, keypoints)
-        for camera, images_of_camera in images_by_camera(images, item, options).items()
+        for camera, images_of_camera in images_by_camera(images, document, options).items()
     )
 
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError, argument
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import frame_number
-from mocap_calib.io.keypoints.document import Item, ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import cameras_by_pattern
 from mocap_calib.types import Ints
 
@@ -24,7 +25,7 @@ Entry = dict[str, Any]  # of one of the lists of a COCO file
 
 
 def images_by_camera(
-    images: list[Entry], item: Item, options: ReadOptions
+    images: list[Entry], document: Document, options: ReadOptions
 ) -> dict[str, list[Entry]]:
     """Return the images of each camera. Raises FormatError.
 
@@ -32,11 +33,11 @@ def images_by_camera(
     the file's camera where none of them tells.
     """
     by_pattern = cameras_by_pattern(
-        _file_names(images), options.camera_pattern, named="file name", source=item.origin.source
+        _file_names(images), options.camera_pattern, named="file name", source=document.source
     )
-    cameras = by_pattern or _cameras_by_field(images) or _cameras_by_folder(images, item)
+    cameras = by_pattern or _cameras_by_field(images) or _cameras_by_folder(images, document)
     if len(set(cameras)) <= 1 and not by_pattern:
-        return {item.camera: images}
+        return {document.camera: images}
     images_of: dict[str, list[Entry]] = {}
     for image, camera in zip(images, cameras, strict=True):
         images_of.setdefault(camera, []).append(image)
@@ -56,7 +57,7 @@ def _camera_field(image: Entry) -> str:
     return ""
 
 
-def _cameras_by_folder(images: list[Entry], item: Item) -> list[str]:
+def _cameras_by_folder(images: list[Entry], document: Document) -> list[str]:
     """Return each image's camera: the part of the folders that differs.
 
     Where several parts differ, it is the one that tells images of one frame number apart. Nothing
@@ -67,7 +68,7 @@ def _cameras_by_folder(images: list[Entry], item: Item) -> list[str]:
     folders = [re.split(r"[/\\]", name)[:-1] for name in names]
     numbers = [frame_number(name) for name in names]
     numbers_differ = len(set(numbers)) == len(numbers)
-    if len(set(map(tuple, folders))) == 1 or (item.named and numbers_differ):
+    if len(set(map(tuple, folders))) == 1 or (document.named and numbers_differ):
         return []
     parts = _parts_that_differ(folders)
     if len(parts) == 1:
@@ -78,7 +79,7 @@ def _cameras_by_folder(images: list[Entry], item: Item) -> list[str]:
                 return part
     other = next(name for name, folder in zip(names, folders, strict=True) if folder != folders[0])
     raise FormatError(
-        item.origin.source,
+        document.source,
         "folders that tell the cameras",
         f"{names[0]} and {other}",
         f"say which part is the camera with {argument('camera_regex')}",

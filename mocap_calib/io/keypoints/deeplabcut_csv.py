@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, Table, keypoints_from_table
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
 _FIRST_CELL = re.compile(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]')
@@ -45,11 +46,10 @@ def sniff(document: Document) -> bool:
     return _FIRST_CELL.match(document.start[:64]) is not None
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the camera of a DeepLabCut or Lightning Pose .csv. Raises FormatError."""
-    document = item.document
     table = _read_plain_table(document) or _read_any_table(document)
-    return (keypoints_from_table(table, item.origin),)
+    return (keypoints_from_table(table, document.origin),)
 
 
 def _read_plain_table(document: Document) -> Table | None:

@@ -15,9 +15,10 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters, text
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, LEVELS_OF_ONE, Table, keypoints_from_table
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
 _CSV_INSTEAD = "use the .csv that DeepLabCut writes next to it"
@@ -31,15 +32,15 @@ def sniff(document: Document) -> bool:
     return has_attribute(document, "pandas_type")
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the camera of a DeepLabCut .h5 in the `table` or the `fixed` layout.
 
     Raises FormatError.
     """
-    source = item.origin.source
+    source = document.source
     with damage_refused(source, "a whole DeepLabCut .h5", _CSV_INSTEAD):
-        table = _read_table(item.document.hdf5, source)
-    return (keypoints_from_table(table, item.origin),)
+        table = _read_table(document.hdf5, source)
+    return (keypoints_from_table(table, document.origin),)
 
 
 def _read_table(file: Any, source: str) -> Table:

@@ -10,14 +10,15 @@ import re
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import (
     Origin,
     make_view,
     stack_detections,
     visibility_as_confidence,
 )
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import (
     cameras_by_pattern,
     frame_numbers,
@@ -48,29 +49,29 @@ def _is_list_of_detections(document: Document) -> bool:
     return is_list_of(document.json, "image_id", "keypoints")
 
 
-def read_alphapose(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read_alphapose(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the cameras of an AlphaPose file. Raises FormatError."""
-    return _read(item, options, unambiguous=_ALPHAPOSE_LAYOUTS)
+    return _read(document, options, unambiguous=_ALPHAPOSE_LAYOUTS)
 
 
-def read_coco(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read_coco(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the cameras of COCO results.
 
     Frames are the image ids, or what the camera pattern's group `frame` finds in them.
     Raises FormatError.
     """
-    return _read(item, options, unambiguous=())
+    return _read(document, options, unambiguous=())
 
 
 def _read(
-    item: Item, options: ReadOptions, *, unambiguous: tuple[str, ...]
+    document: Document, options: ReadOptions, *, unambiguous: tuple[str, ...]
 ) -> tuple[Keypoints2D, ...]:
     """Read the cameras of a list of detections. Raises FormatError."""
-    source = item.origin.source
-    images = _images(item)
+    source = document.source
+    images = _images(document)
     points = [
         triples(entry.get("keypoints") or [], f"{source}: entry {k}")
-        for k, entry in enumerate(item.document.json)
+        for k, entry in enumerate(document.json)
     ]
     count = max(map(len, points))
     if count == 0:
@@ -79,7 +80,7 @@ def _read(
         )
     names = choose_layout(count, given=options.layout, source=source, unambiguous=unambiguous)
     views = []
-    for camera, entries in _entries_by_camera(images, item, options).items():
+    for camera, entries in _entries_by_camera(images, document, options).items():
         detections_of: dict[str, list[Floats]] = {}
         for entry in entries:
             detections_of.setdefault(images[entry], []).append(points[entry])
@@ -87,13 +88,13 @@ def _read(
     return tuple(views)
 
 
-def _images(item: Item) -> list[str]:
+def _images(document: Document) -> list[str]:
     """Return the image of each entry, as text. Raises FormatError."""
     images = []
-    for k, entry in enumerate(item.document.json):
+    for k, entry in enumerate(document.json):
         if not isinstance(entry, dict) or not isinstance(entry.get("image_id"), str | int):
             raise FormatError(
-                f"{item.origin.source}: entry {k}",
+                f"{document.source}: entry {k}",
                 "an object with image_id and keypoints",
                 entry,
                 "the file is damaged: export it again",
@@ -102,17 +103,19 @@ def _images(item: Item) -> list[str]:
     return images
 
 
-def _entries_by_camera(images: list[str], item: Item, options: ReadOptions) -> dict[str, list[int]]:
+def _entries_by_camera(
+    images: list[str], document: Document, options: ReadOptions
+) -> dict[str, list[int]]:
     """Return the entries (indices) of each camera, as the user's pattern finds it in the images.
 
     All are of the file's camera where the pattern finds none. Raises FormatError where it finds
     some only.
     """
     cameras = cameras_by_pattern(
-        images, options.camera_pattern, named="image_id", source=item.origin.source
+        images, options.camera_pattern, named="image_id", source=document.source
     )
     if not cameras:
-        return {item.camera: list(range(len(images)))}
+        return {document.camera: list(range(len(images)))}
     entries_of: dict[str, list[int]] = {}
     for entry, camera in enumerate(cameras):
         entries_of.setdefault(camera, []).append(entry)

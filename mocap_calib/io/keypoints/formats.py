@@ -1,7 +1,6 @@
 """The table of keypoint formats: how each is recognised by content, read and written."""
 
-from collections.abc import Callable, Mapping
-
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints import (
     caliscope,
     coco,
@@ -22,21 +21,11 @@ from mocap_calib.io.keypoints import (
     superanimal,
     ultralytics,
 )
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.losses import FOLLOWED, GAPS, MIXED, NAMES, SCORES, SIZES
-from mocap_calib.io.registry import Format
-from mocap_calib.types import Keypoints2D
-
-# read: the cameras in a file or folder. write: relative path -> content of what holds the cameras
-KeypointFormat = Format[
-    Callable[[Document], bool],
-    Callable[[Item, ReadOptions], tuple[Keypoints2D, ...]],
-    Callable[[tuple[Keypoints2D, ...]], Mapping[str, bytes]],
-]
 
 # the first whose sniff says yes reads the file
 KEYPOINT_FORMATS = (
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="coco",
         title="COCO annotations .json",
@@ -46,7 +35,7 @@ KEYPOINT_FORMATS = (
         endings=(".json",),
         loses=(FOLLOWED, SCORES),
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="openpose",
         title="OpenPose .json, a folder per camera",
@@ -56,7 +45,7 @@ KEYPOINT_FORMATS = (
         per_frame=True,
         loses=(NAMES, FOLLOWED, SIZES, SCORES),
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="mmpose-images",
         title="MMPose .json of images, a folder per camera",
@@ -64,35 +53,35 @@ KEYPOINT_FORMATS = (
         read=mmpose.read_images,
         per_frame=True,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="mmpose",
         title="MMPose and RTMPose .json of a video",
         sniff=mmpose.sniff_video,
         read=mmpose.read_video,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="superanimal",
         title="DeepLabCut SuperAnimal .json",
         sniff=superanimal.sniff,
         read=superanimal.read,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="coco-results",
         title="COCO results .json",
         sniff=flat_json.sniff_coco,
         read=flat_json.read_coco,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="alphapose",
         title="AlphaPose .json",
         sniff=flat_json.sniff_alphapose,
         read=flat_json.read_alphapose,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="deeplabcut-h5",
         title="DeepLabCut .h5",
@@ -103,7 +92,7 @@ KEYPOINT_FORMATS = (
         followed=True,
         loses=(SIZES, SCORES),
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="sleap",
         title="SLEAP analysis .h5",
@@ -113,14 +102,14 @@ KEYPOINT_FORMATS = (
         endings=(".h5",),
         loses=(SIZES, GAPS, SCORES),
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="sleap-slp",
         title="SLEAP .slp",
         sniff=sleap_slp.sniff,
         read=sleap_slp.read,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="movement",
         title="movement .nc",
@@ -131,21 +120,21 @@ KEYPOINT_FORMATS = (
         followed=True,
         loses=(SIZES, SCORES),
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="nwb",
         title="NWB ndx-pose .nwb",
         sniff=nwb.sniff,
         read=nwb.read,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="label3d",
         title="Label3D .mat",
         sniff=label3d.sniff,
         read=label3d.read,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="deeplabcut-csv",
         title="DeepLabCut and Lightning Pose .csv",
@@ -156,21 +145,21 @@ KEYPOINT_FORMATS = (
         followed=True,
         loses=(SIZES, SCORES),
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="sleap-csv",
         title="SLEAP analysis .csv",
         sniff=sleap_csv.sniff,
         read=sleap_csv.read,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="caliscope",
         title="caliscope .csv",
         sniff=caliscope.sniff,
         read=caliscope.read,
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="csv",
         title="csv with a row per point (camera,frame,individual,keypoint,x,y,score)",
@@ -180,7 +169,7 @@ KEYPOINT_FORMATS = (
         endings=(".csv",),
         loses=(MIXED, SIZES, SCORES),
     ),
-    KeypointFormat(
+    Format(
         kind="keypoints",
         name="ultralytics",
         title="Ultralytics .txt, a folder per camera",

@@ -10,8 +10,9 @@ import re
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.document import Document
 from mocap_calib.io.keypoints.long_table import Points, views_from_points
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.table_cells import Cells, read_cells
 from mocap_calib.types import Keypoints2D
 
@@ -32,29 +33,29 @@ def _header_cells(document: Document) -> list[str]:
     return [cell.strip() for cell in re.split(r"[,;\t]", ",".join(document.header))]
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read each camera in the table; the file's camera where there is no column `camera`.
 
     Raises FormatError.
     """
-    _check_header(item)
-    cells = read_cells(item)
+    _check_header(document)
+    cells = read_cells(document)
     constant = ("0",) * len(cells)
     points = Points(
-        camera=_cameras(cells, item),
+        camera=_cameras(cells, document),
         frame=cells.columns["frame"],
         identity=cells.columns.get("individual", cells.columns.get("instance", constant)),
         keypoint=cells.columns["keypoint"],
         values=np.column_stack([cells.numbers(name) for name in ("x", "y", "score")]),
         lines=cells.lines,
     )
-    return views_from_points(points, item, tracked="instance" not in cells.columns)
+    return views_from_points(points, document, tracked="instance" not in cells.columns)
 
 
-def _check_header(item: Item) -> None:
+def _check_header(document: Document) -> None:
     """Raise FormatError for another separator, and for columns that are not known or missing."""
-    header, source = item.document.header, item.origin.source
-    if tuple(_header_cells(item.document)) != header:
+    header, source = document.header, document.source
+    if tuple(_header_cells(document)) != header:
         raise FormatError(
             source, "commas between cells and points in numbers", header[0], "export it so"
         )
@@ -69,10 +70,10 @@ def _check_header(item: Item) -> None:
         )
 
 
-def _cameras(cells: Cells, item: Item) -> tuple[str, ...]:
+def _cameras(cells: Cells, document: Document) -> tuple[str, ...]:
     """Return the `[row]` camera. Raises FormatError where the column has an empty cell."""
     if "camera" not in cells.columns:
-        return (item.camera,) * len(cells)
+        return (document.camera,) * len(cells)
     cameras = cells.columns["camera"]
     if not all(cameras):
         raise FormatError(

@@ -1,16 +1,16 @@
-"""Turn paths into what is read in one go.
-
-That is a file, a folder with a file per camera, or a folder with a file per frame.
-"""
+"""List the documents of keypoints: files, or folders of frames."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.crash_guard import guard_hdf5
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import find_camera, frame_number
-from mocap_calib.io.keypoints.document import Item, ReadOptions
-from mocap_calib.io.keypoints.sniffing import shows_keypoints, shows_single_frame, sniff_item
+from mocap_calib.io.format import find_format, sniff
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.media import check_no_media, check_no_media_alone
 
 FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat")
@@ -19,7 +19,7 @@ SUFFIXES = (*FOLDER_SUFFIXES, ".txt")  # the last only where there is nothing el
 
 def keypoint_items(
     paths: Sequence[str | Path], options: ReadOptions, format: str | None
-) -> list[Item]:
+) -> list[Document]:
     """Return the items in files, folders and `name=path` pairs.
 
     A folder holds a file per camera, or folders of them, or, where the format of its first file
@@ -33,7 +33,7 @@ def keypoint_items(
 
     Raises MismatchError, and FormatError for videos and images.
     """
-    items: list[Item] = []
+    items: list[Document] = []
     for path in paths:
         items += _items_of_argument(str(path), options, format)
     return items
@@ -49,7 +49,7 @@ def find_superseded_files(folder: Path) -> list[Path]:
     return [file for file in files if file.suffix.lower() == ".csv" and file.stem in binary]
 
 
-def _items_of_argument(argument: str, options: ReadOptions, format: str | None) -> list[Item]:
+def _items_of_argument(argument: str, options: ReadOptions, format: str | None) -> list[Document]:
     """Return the items of one argument: a path, or `name=path`."""
     name, equals, rest = argument.partition("=")
     if not equals or Path(argument).exists():
@@ -67,13 +67,15 @@ def _items_of_argument(argument: str, options: ReadOptions, format: str | None) 
     return [replace(items[0], camera=name, named=True)]
 
 
-def _items_of_path(path: Path, options: ReadOptions, format: str | None) -> list[Item]:
+def _items_of_path(path: Path, options: ReadOptions, format: str | None) -> list[Document]:
     """Return the items of a file or folder; the pattern names their cameras where it is given.
 
     Raises MismatchError, and FormatError for videos and images.
     """
     check_no_media(path, SUFFIXES)
-    items = _items_of_folder(path, format) if path.is_dir() else [Item(_stem(path), path)]
+    items = (
+        _items_of_folder(path, format) if path.is_dir() else [Document(path, camera=_stem(path))]
+    )
     if not items:
         check_no_media_alone(path, SUFFIXES)
         raise MismatchError(
@@ -90,7 +92,7 @@ def _items_of_path(path: Path, options: ReadOptions, format: str | None) -> list
     ]
 
 
-def _items_of_folder(folder: Path, format: str | None) -> list[Item]:
+def _items_of_folder(folder: Path, format: str | None) -> list[Document]:
     """Return the items of a folder: of its files, of its folders, or of both."""
     files = _items_of_files(folder, format)
     folders = _items_of_subfolders(folder, format)
@@ -102,41 +104,46 @@ def _items_of_folder(folder: Path, format: str | None) -> list[Item]:
     return files + folders
 
 
-def _sniff_until_keypoints(items: list[Item], format: str | None) -> tuple[list[Item], bool]:
+def _sniff_until_keypoints(
+    items: list[Document], format: str | None
+) -> tuple[list[Document], bool]:
     """Return the items, sniffed up to the first that shows keypoints, and whether one does."""
-    sniffed: list[Item] = []
+    sniffed: list[Document] = []
     for number, item in enumerate(items, 1):
-        sniffed.append(sniff_item(item, format))
-        if shows_keypoints(sniffed[-1]):
+        sniffed.append(sniff_keypoints(item, format))
+        if sniffed[-1].format != "":
             return sniffed + items[number:], True
     return sniffed, False
 
 
-def _items_of_files(folder: Path, format: str | None) -> list[Item]:
+def _items_of_files(folder: Path, format: str | None) -> list[Document]:
     """Return an item per file, or one item where the files are frames."""
     files = _list_files(folder)
     if not files:
         return []
-    frames = Item(_camera_of_folder(folder), folder, tuple(files))
-    first = frames.document
-    if not first.is_hdf5:
-        frames = sniff_item(frames, format)
-        if shows_single_frame(frames):
+    frames = Document(folder, camera=_camera_of_folder(folder), members=tuple(files))
+    if not frames.is_hdf5:
+        frames = sniff_keypoints(frames, format)
+        if _shows_single_frame(frames):
             return [frames]
     superseded = find_superseded_files(folder)
     return [
-        Item(_stem(file), file, format=frames.format if file == first.path else None)
+        Document(
+            file,
+            camera=_stem(file),
+            format=frames.format if file.absolute() == frames.file else None,
+        )
         for file in files
         if file not in superseded
     ]
 
 
-def _items_of_subfolders(folder: Path, format: str | None) -> list[Item]:
+def _items_of_subfolders(folder: Path, format: str | None) -> list[Document]:
     """Return the items in the folders of a folder; one with a single item names its camera."""
     subfolders = sorted(
         path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")
     )
-    items: list[Item] = []
+    items: list[Document] = []
     for subfolder in subfolders:
         found = _items_of_folder(subfolder, format)
         if len(found) == 1:
@@ -172,3 +179,27 @@ def _list_files(folder: Path) -> list[Path]:
 def _stem(path: Path) -> str:
     """Return the file's name without its suffix, and without SLEAP's second one."""
     return path.stem.removesuffix(".analysis")
+
+
+def sniff_keypoints(document: Document, format: str | None = None) -> Document:
+    """Return the document with the format that its content shows; as it is where that is known.
+
+    It is left unknown for a damaged file, which is complained of when it is read.
+
+    format: name of the only format to try; None: all of them.
+    """
+    if document.format is not None:
+        return document
+    try:
+        found = guard_hdf5(document, sniff, KEYPOINT_FORMATS, document, format)
+    except FormatError:
+        return document
+    # without the content: many documents need not fit into memory
+    return replace(document, format=found)
+
+
+def _shows_single_frame(document: Document) -> bool:
+    """Return whether a sniffed document is of a format that has a file per frame."""
+    if not document.format:
+        return False
+    return find_format(KEYPOINT_FORMATS, document.format).per_frame

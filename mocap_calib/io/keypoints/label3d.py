@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import NO_SCORE, Origin, blank, make_view
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.matlab import read_mat
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
@@ -24,24 +25,24 @@ def sniff(document: Document) -> bool:
     return document.start.startswith(b"MATLAB 5.0 MAT-file")
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the labelled frames of each camera.
 
     Keypoints are `point_1`, ... where the user does not name them. Raises FormatError.
     """
-    source = item.origin.source
-    cameras, labels = _read_variables(item)
+    source = document.source
+    cameras, labels = _read_variables(document)
     return tuple(
         _view(Origin(camera, source), label, options)
         for camera, label in zip(cameras, labels, strict=True)
     )
 
 
-def _read_variables(item: Item) -> tuple[list[str], list[Any]]:
+def _read_variables(document: Document) -> tuple[list[str], list[Any]]:
     """Return the names of the cameras and the labels of each. Raises FormatError."""
-    source = item.origin.source
+    source = document.source
     variables = read_mat(
-        item.document.content,
+        document.content,
         _VARIABLES,
         source=source,
         expected="a whole MATLAB file",

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import (
     Origin,
     blank,
@@ -18,7 +19,6 @@ from mocap_calib.io.file import (
     make_view,
     unique_names,
 )
-from mocap_calib.io.keypoints.document import Item
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 
@@ -85,7 +85,7 @@ class _Table:
 
 
 def views_from_points(
-    points: Points, item: Item, *, tracked: bool, remarks: tuple[str, ...] = ()
+    points: Points, document: Document, *, tracked: bool, remarks: tuple[str, ...] = ()
 ) -> tuple[Keypoints2D, ...]:
     """Return the cameras of the table, in the order in which they appear.
 
@@ -93,7 +93,7 @@ def views_from_points(
 
     Raises FormatError.
     """
-    source = item.origin.source
+    source = document.source
     cameras = _code(points.camera)
     check_cameras(cameras.texts, source)
     table = _Table(

@@ -3,26 +3,14 @@
 A writer says with these what it loses, or refuses it.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import NO_SCORE
+from mocap_calib.io.format import Loss
 from mocap_calib.types import Keypoints2D
 
 Views = Sequence[Keypoints2D]
-
-
-@dataclass(frozen=True)
-class Loss:
-    """What a format has no place for.
-
-    what: words that follow "does not hold".
-    has: whether views have it.
-    """
-
-    what: str
-    has: Callable[[Views], bool]
 
 
 def _have_names(views: Views) -> bool:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_FRAME, make_view, stack_detections
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import (
     frames_of,
     is_list_of,
@@ -41,17 +42,17 @@ def _frames(content: Any) -> Any:
     return content.get("instance_info") if isinstance(content, dict) else content
 
 
-def read_images(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read_images(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera, whose files are its frames. Raises FormatError."""
-    file_names, frames = frames_of(item)
-    detections = [_instances(instances, source) for instances, source in json_frames(item)]
-    view = _view(item, frames, detections, layout=options.layout, rows=file_names)
+    file_names, frames = frames_of(document)
+    detections = [_instances(instances, source) for instances, source in json_frames(document)]
+    view = _view(document, frames, detections, layout=options.layout, rows=file_names)
     return (view,)
 
 
-def read_video(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read_video(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera; frame numbers are those of the file. Raises FormatError."""
-    source, content = item.origin.source, item.document.json
+    source, content = document.source, document.json
     entries = _frames(content)
     frames = [_frame_id(entry, f"{source}: entry {k}") for k, entry in enumerate(entries)]
     detections = [
@@ -59,11 +60,11 @@ def read_video(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         for entry, frame in zip(entries, frames, strict=True)
     ]
     layout = options.layout or _names_in_file(content, source)
-    return (_view(item, frames, detections, layout=layout, rows=frames),)
+    return (_view(document, frames, detections, layout=layout, rows=frames),)
 
 
 def _view(
-    item: Item,
+    document: Document,
     frames: list[int],
     detections: list[list[Floats]],
     *,
@@ -75,11 +76,11 @@ def _view(
     frames: `[frame]` numbers. detections: the `[keypoint, 3]` detections of each frame.
     layout: names of the keypoints, where known. rows: what messages call the frames.
     """
-    source = item.origin.source
+    source = document.source
     count = most_keypoints(detections, named="instances", source=source)
     names = choose_layout(count, given=layout, source=source, unambiguous=_LAYOUTS)
     values = stack_detections(detections, count, source)
-    return make_view(item.origin, names, frames, values, tracked=False, rows=rows)
+    return make_view(document.origin, names, frames, values, tracked=False, rows=rows)
 
 
 def _frame_id(entry: Any, source: str) -> int:

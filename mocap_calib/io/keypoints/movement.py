@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import (
     LARGEST_EXACT_FLOAT,
     blank,
@@ -21,7 +22,7 @@ from mocap_calib.io.file import (
     make_view,
 )
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "save it from movement again"
@@ -35,9 +36,9 @@ def sniff(document: Document) -> bool:
     return {"position", "space"} <= keys(document)
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera; frames are the times in frames, or seconds times fps. Raises FormatError."""
-    source, file = item.origin.source, item.document.hdf5
+    source, file = document.source, document.hdf5
     with damage_refused(source, "a whole netCDF file of movement", _REMEDY):
         values = _values(file, source)
         keypoints = names(file, "keypoint" if "keypoint" in file else "keypoints", source)
@@ -51,7 +52,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
                 _REMEDY,
             )
     values, remarks = fill_missing_scores(values)
-    return (make_view(item.origin, keypoints, frames, values, tracked=True, remarks=remarks),)
+    return (make_view(document.origin, keypoints, frames, values, tracked=True, remarks=remarks),)
 
 
 def _values(file: Any, source: str) -> Floats:

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import (
     LARGEST_EXACT_FLOAT,
     Origin,
@@ -19,7 +20,7 @@ from mocap_calib.io.file import (
     make_view,
 )
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "write it with ndx-pose again"
@@ -35,18 +36,18 @@ def sniff(document: Document) -> bool:
         return "nwb_version" in file.attrs or "session_description" in file
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read a camera per PoseEstimation, called by its name; by the file's where there is but one.
 
     Each has one individual. Raises FormatError.
     """
-    source, file = item.origin.source, item.document.hdf5
+    source, file = document.source, document.hdf5
     with damage_refused(source, "a whole NWB file", _REMEDY):
         groups = _groups_of_type(file, "PoseEstimation")
         if not groups:
             raise FormatError(source, "a PoseEstimation of ndx-pose", "none", "give another file")
         if len(groups) == 1:
-            return (_view(groups[0], item.origin),)
+            return (_view(groups[0], document.origin),)
         return tuple(_view(group, Origin(_name(group), source)) for group in groups)
 
 

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import make_view, stack_detections
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import frame_numbers, frames_of, json_frames, triples
 from mocap_calib.types import Keypoints2D, Reals
 
@@ -38,23 +39,23 @@ def _is_frame(content: Any) -> bool:
     return isinstance(content, dict) and any(isinstance(content.get(key), list) for key in _LISTS)
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the people of one camera. Raises FormatError."""
-    source = item.origin.source
-    file_names, numbers, frames = _frames(item)
+    source = document.source
+    file_names, numbers, frames = _frames(document)
     people = [_people(frame, frame_source) for frame, frame_source in frames]
     count = _count_keypoints(people, source)
     keypoints = choose_layout(count, given=options.layout, source=source, unambiguous=_LAYOUTS)
     values = stack_detections(people, count, source)
-    return (make_view(item.origin, keypoints, numbers, values, tracked=False, rows=file_names),)
+    return (make_view(document.origin, keypoints, numbers, values, tracked=False, rows=file_names),)
 
 
-def _frames(item: Item) -> tuple[list[str], list[int], Iterable[tuple[Any, str]]]:
+def _frames(document: Document) -> tuple[list[str], list[int], Iterable[tuple[Any, str]]]:
     """Return the names, the numbers, and the content of the frames with what messages call it."""
-    if item.members or _is_frame(item.document.json):
-        names, numbers = frames_of(item)
-        return names, numbers, json_frames(item)
-    source, content = item.origin.source, item.document.json
+    if document.members or _is_frame(document.json):
+        names, numbers = frames_of(document)
+        return names, numbers, json_frames(document)
+    source, content = document.source, document.json
     names = list(content)
     return names, frame_numbers(names, source), [(frame, source) for frame in content.values()]
 

@@ -10,34 +10,30 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import find_camera, frame_number
-from mocap_calib.io.keypoints.document import Item, describe
 from mocap_calib.types import Floats
 
 
-def frames_of(item: Item) -> tuple[list[str], list[int]]:
+def frames_of(document: Document) -> tuple[list[str], list[int]]:
     """Return the names and numbers of the frames in a folder with a file per frame.
 
     Raises FormatError.
     """
-    names = [path.name for path in item.members or (item.path,)]
-    return names, frame_numbers(names, item.origin.source)
+    names = [path.name for path in document.members or (document.path,)]
+    return names, frame_numbers(names, document.source)
 
 
-def json_frames(item: Item) -> Iterator[tuple[Any, str]]:
+def json_frames(document: Document) -> Iterator[tuple[Any, str]]:
     """Return the JSON of each file of a folder, a frame each, and the file as messages name it.
 
     Raises FormatError where a file is no JSON.
     """
-    for document in item.documents():
-        if document.json is None:
-            raise FormatError(
-                document.source,
-                "JSON of a frame",
-                describe(document)[0],
-                "export it again, or remove it",
-            )
-        yield document.json, document.source
+    for each in document.documents():
+        if each.json is None:
+            found = each.describe()[0]
+            raise each.refuse("JSON of a frame", found, "export it again, or remove it")
+        yield each.json, each.source
 
 
 def frame_numbers(names: Sequence[str], source: str) -> list[int]:

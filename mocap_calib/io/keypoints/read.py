@@ -11,19 +11,21 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError, argument
 from mocap_calib.io.crash_guard import end_calls, guard_hdf5
+from mocap_calib.io.document import NAMELESS, Document
 from mocap_calib.io.file import check_cameras
+from mocap_calib.io.format import find_format, require_format
 from mocap_calib.io.keypoints.adjust import apply_offsets, convert_to_pixels, split_views
-from mocap_calib.io.keypoints.document import Item, ReadOptions
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
-from mocap_calib.io.keypoints.items import keypoint_items
-from mocap_calib.io.keypoints.sniffing import require_format, sniff_item
+from mocap_calib.io.keypoints.items import keypoint_items, sniff_keypoints
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.names import camera_name
-from mocap_calib.io.registry import find_format
 from mocap_calib.types import Keypoints2D, Reals
+
+_REMEDY = "export one of these (docs/formats.md)"
 
 
 def read_keypoints(
-    paths: str | Path | Sequence[str | Path],
+    paths: str | Path | bytes | Sequence[str | Path],
     format: str | None = None,
     options: ReadOptions | None = None,
 ) -> tuple[Keypoints2D, ...]:
@@ -31,21 +33,20 @@ def read_keypoints(
 
     Positions are pixels as the files have them: x to the right, y down.
 
-    paths: one of these, or several.
+    paths: one of these, or several, or the content of one file.
     format: name of a keypoint format; where none is given, the content of each file says it.
 
     Raises FormatError, in one line, for whatever is wrong with a file, and MismatchError where two
     files are of one camera.
     """
-    several = [paths] if isinstance(paths, str | Path) else paths
-    views, errors = read_what_can(several, format, options)
+    views, errors = read_what_can(paths, format, options)
     if errors:
         raise errors[0]
     return views
 
 
 def read_what_can(
-    paths: Sequence[str | Path],
+    paths: str | Path | bytes | Sequence[str | Path],
     format: str | None = None,
     options: ReadOptions | None = None,
 ) -> tuple[tuple[Keypoints2D, ...], list[MocapCalibError]]:
@@ -56,8 +57,12 @@ def read_what_can(
     options = options or ReadOptions()
     if format is not None:
         find_format(KEYPOINT_FORMATS, format)
-    items = keypoint_items(paths, options, format)
-    _check_cameras_once([(item.camera, str(item.path)) for item in items if item.camera])
+    if isinstance(paths, bytes):
+        items = [Document(Path(NAMELESS), given=paths, camera=NAMELESS)]
+    else:
+        several = [paths] if isinstance(paths, str | Path) else paths
+        items = keypoint_items(several, options, format)
+    _check_cameras_once([(item.camera, item.source) for item in items if item.camera])
     views: list[Keypoints2D] = []
     errors: list[MocapCalibError] = []
     try:
@@ -79,7 +84,7 @@ def looks_like_keypoints(path: Path) -> bool:
     """Return whether the first file, or folder of frames, at a path is of one of the formats."""
     try:
         first = keypoint_items([path], ReadOptions(), format=None)[0]
-        return bool(sniff_item(first, format=None).format)
+        return bool(sniff_keypoints(first).format)
     except MocapCalibError:
         return False
 
@@ -100,21 +105,22 @@ def _check_cameras_once(found: list[tuple[str, str]]) -> None:
 
 
 def _read_all(
-    items: list[Item], format: str | None, options: ReadOptions
+    items: list[Document], format: str | None, options: ReadOptions
 ) -> Iterator[tuple[Keypoints2D, ...] | MocapCalibError]:
-    """Yield the cameras in each item, or what is wrong with it; the list is empty after.
+    """Yield the cameras in each document, or what is wrong with it; the list is empty after.
 
     HDF5, which other processes read, is read side by side. Any other file is held in memory while
     it is read: one at a time.
     """
 
-    def read(item: Item) -> tuple[Keypoints2D, ...] | MocapCalibError:
+    def read(document: Document) -> tuple[Keypoints2D, ...] | MocapCalibError:
         try:
-            return tuple(map(_keep, _read_guarded(item, format, options)))
+            views = guard_hdf5(document, _read, document, format, options)
+            return tuple(map(_keep, views))
         except MocapCalibError as error:
             return error
 
-    waiting = (items.pop(0) for _ in range(len(items)))  # an item holds its file
+    waiting = (items.pop(0) for _ in range(len(items)))  # a document holds its file
     for apart, some in groupby(waiting, _is_hdf5):
         if apart:
             yield from map_in_threads(read, some)
@@ -122,28 +128,23 @@ def _read_all(
             yield from map(read, some)
 
 
-def _is_hdf5(item: Item) -> bool:
-    """Return whether an item is HDF5, as far as it can be read."""
+def _is_hdf5(document: Document) -> bool:
+    """Return whether a document is HDF5, as far as it can be read."""
     try:
-        return item.document.is_hdf5
+        return document.is_hdf5
     except MocapCalibError:
         return False
 
 
-def _read_guarded(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """Read the cameras in an item; HDF5 in another process."""
-    start, size = item.document.start, item.document.size
-    return guard_hdf5(start, size, str(item.path), _read, item, format, options)
-
-
-def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """Read the cameras in one item. Raises FormatError and MismatchError."""
-    views = require_format(item, format).read(item, options)
-    check_cameras([view.camera for view in views], str(item.path))
-    views = _name_camera(views, item)
+def _read(document: Document, format: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Read the cameras in a document. Raises FormatError and MismatchError."""
+    known = require_format(KEYPOINT_FORMATS, document, format, _REMEDY)
+    views = known.reader()(document, options)
+    check_cameras([view.camera for view in views], document.source)
+    views = _name_camera(views, document)
     if not all(view.camera for view in views):
         raise FormatError(
-            str(item.path),
+            document.source,
             f"a camera in the path by the pattern {options.camera_pattern}",
             "none",
             f"change {argument('camera_regex')}",
@@ -153,23 +154,26 @@ def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoin
         for part in split_views(view, options.views):
             scaled = convert_to_pixels(part, options.size_of(part.camera))
             read.append(_in_single_precision(scaled) if options.single_precision else scaled)
-    source = str(item.path)
+    source = document.source
     return tuple(replace(view, camera=camera_name(view.camera, source)) for view in read)
 
 
-def _name_camera(views: tuple[Keypoints2D, ...], item: Item) -> tuple[Keypoints2D, ...]:
-    """Return the views under the name that the user gave to the item, if any.
+def _name_camera(views: tuple[Keypoints2D, ...], document: Document) -> tuple[Keypoints2D, ...]:
+    """Return the views under the name that the user gave to the document, if any.
 
     Raises MismatchError where that name is given to several cameras.
     """
-    if not item.named:
+    if not document.named:
         return views
     if len(views) > 1:
         cameras = ", ".join(view.camera for view in views)
         raise MismatchError(
-            item.path, f"the one camera {item.camera}", cameras, "give the file without a name"
+            document.source,
+            f"the one camera {document.camera}",
+            cameras,
+            "give the file without a name",
         )
-    return (replace(views[0], camera=item.camera),)
+    return (replace(views[0], camera=document.camera),)
 
 
 def _in_single_precision(view: Keypoints2D) -> Keypoints2D:

@@ -9,8 +9,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.document import Document
 from mocap_calib.io.keypoints.long_table import Points, views_from_points
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.table_cells import Cells, read_cells
 from mocap_calib.types import Floats, Keypoints2D
 
@@ -22,31 +23,31 @@ def sniff(document: Document) -> bool:
     return {"track", "frame_idx"} <= set(document.header)
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera; tracks are individuals where all rows have one. Raises FormatError."""
-    nodes = _find_nodes(item)
-    cells = read_cells(item)
+    nodes = _find_nodes(document)
+    cells = read_cells(document)
     frames, tracks = cells.columns["frame_idx"], cells.columns["track"]
     tracked = all(tracks)
     identity = tracks if tracked else tuple(_count_within_frames(frames))
     points = Points(
-        camera=(item.camera,) * (len(nodes) * len(cells)),
+        camera=(document.camera,) * (len(nodes) * len(cells)),
         frame=frames * len(nodes),
         identity=identity * len(nodes),
         keypoint=[node for node in nodes for _ in frames],
         values=np.concatenate([_values_of_node(cells, node) for node in nodes]),
         lines=np.tile(cells.lines, len(nodes)),
     )
-    return views_from_points(points, item, tracked=tracked, remarks=(_ABSENT_FRAMES,))
+    return views_from_points(points, document, tracked=tracked, remarks=(_ABSENT_FRAMES,))
 
 
-def _find_nodes(item: Item) -> list[str]:
+def _find_nodes(document: Document) -> list[str]:
     """Return the names of the nodes in the header. Raises FormatError."""
-    header = item.document.header
+    header = document.header
     nodes = [name.removesuffix(".x") for name in header if name.endswith(".x")]
     if not nodes or not all(f"{node}.y" in header for node in nodes):
         raise FormatError(
-            item.origin.source,
+            document.source,
             "columns <node>.x and <node>.y",
             ",".join(header),
             "export the analysis .csv from SLEAP again",

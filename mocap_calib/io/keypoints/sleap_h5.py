@@ -15,9 +15,10 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import blank, fill_missing_scores, make_view
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
 _REMEDY = "export the analysis .h5 from SLEAP again"
@@ -38,9 +39,9 @@ def sniff(document: Document) -> bool:
     return {"tracks", "node_names"} <= keys(document)
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera; tracks are individuals where they have names. Raises FormatError."""
-    source, file = item.origin.source, item.document.hdf5
+    source, file = document.source, document.hdf5
     with damage_refused(source, "a whole SLEAP analysis .h5", _REMEDY):
         nodes = names(file, "node_names", source)
         individuals = names(file, "track_names", source) if "track_names" in file else ()
@@ -48,7 +49,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     values, remarks = fill_missing_scores(values)
     frames = range(len(values))
     tracked = any(not name.startswith(_UNTRACKED) for name in individuals)
-    return (make_view(item.origin, nodes, frames, values, tracked=tracked, remarks=remarks),)
+    return (make_view(document.origin, nodes, frames, values, tracked=tracked, remarks=remarks),)
 
 
 def _values(file: Any, nodes: int, individuals: int, source: str) -> Floats:

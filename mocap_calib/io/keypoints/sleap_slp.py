@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError, argument
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import (
     Origin,
     blank,
@@ -23,7 +24,7 @@ from mocap_calib.io.file import (
     make_view,
 )
 from mocap_calib.io.hdf5 import array, damage_refused, keys, text
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
 _REMEDY = "export the analysis .h5 from SLEAP"
@@ -36,17 +37,17 @@ def sniff(document: Document) -> bool:
     return {"metadata", "frames", "instances", "points", "pred_points"} <= keys(document)
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read a camera per video that has labelled frames.
 
     It is called by the video's name; by the file's where there is but one video.
     Raises FormatError.
     """
-    source, file = item.origin.source, item.document.hdf5
+    source, file = document.source, document.hdf5
     with damage_refused(source, "a whole SLEAP project", _REMEDY):
         tables = _read_tables(file, source)
         videos = np.unique(tables.frames["video"]).tolist()
-        cameras = _cameras(file, videos, item, options)
+        cameras = _cameras(file, videos, document, options)
         return tuple(
             _view(tables, video, Origin(camera, source)) for video, camera in cameras.items()
         )
@@ -117,20 +118,22 @@ def _points(file: Any, name: str, source: str) -> Floats:
 # Cameras
 
 
-def _cameras(file: Any, videos: list[int], item: Item, options: ReadOptions) -> dict[int, str]:
+def _cameras(
+    file: Any, videos: list[int], document: Document, options: ReadOptions
+) -> dict[int, str]:
     """Return video -> camera. Raises FormatError where names do not tell several videos apart."""
-    source, pattern = item.origin.source, options.camera_pattern
+    source, pattern = document.source, options.camera_pattern
     if not videos:
         raise FormatError(source, "labelled frames", "none", "label or predict first")
     if len(videos) == 1 and not pattern:
-        return {videos[0]: item.camera}
+        return {videos[0]: document.camera}
     paths = _video_paths(file, videos, source)
     cameras = {
         video: find_camera(path, pattern) if pattern else _stem(path)
         for video, path in paths.items()
     }
     if len(videos) == 1 and not cameras[videos[0]]:
-        return {videos[0]: item.camera}
+        return {videos[0]: document.camera}
     if not any(paths.values()):
         cameras = _cameras_of_session(file, videos, source) or cameras
     _check_cameras(cameras, paths, source)

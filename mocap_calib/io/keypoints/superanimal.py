@@ -7,9 +7,10 @@ frame number is the place in the list.
 from typing import Any
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import make_view, stack_detections
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import is_list_of, most_keypoints, numbers_of
 from mocap_calib.types import Floats, Keypoints2D
 
@@ -19,17 +20,17 @@ def sniff(document: Document) -> bool:
     return is_list_of(document.json, "bodyparts")
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera. Raises FormatError."""
-    source = item.origin.source
+    source = document.source
     detections = [
         _individuals(frame, f"{source}: frame {number}")
-        for number, frame in enumerate(item.document.json)
+        for number, frame in enumerate(document.json)
     ]
     count = most_keypoints(detections, named="individuals", source=source)
     names = choose_layout(count, given=options.layout, source=source)
     values = stack_detections(detections, count, source)
-    return (make_view(item.origin, names, range(len(detections)), values, tracked=False),)
+    return (make_view(document.origin, names, range(len(detections)), values, tracked=False),)
 
 
 def _individuals(frame: Any, source: str) -> list[Floats]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.keypoints.document import Item
+from mocap_calib.io.document import Document
 from mocap_calib.types import Floats, Ints
 
 
@@ -56,12 +56,12 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def read_cells(item: Item) -> Cells:
+def read_cells(document: Document) -> Cells:
     """Read all cells of a table. Raises FormatError, also where there is no row."""
-    source, header = item.origin.source, item.document.header
+    source, header = document.source, document.header
     if len(set(header)) < len(header):
         raise FormatError(source, "each column once", ",".join(header), "rename or remove columns")
-    rows, lines = _read_rows(item)
+    rows, lines = _read_rows(document)
     rows, lines = rows[1:], lines[1:]
     if not rows:
         raise FormatError(source, "rows below the header", "none", "export it again")
@@ -80,9 +80,9 @@ def read_cells(item: Item) -> Cells:
     return Cells(source, columns, np.array(lines))
 
 
-def _read_rows(item: Item) -> tuple[list[list[str]], list[int]]:
+def _read_rows(document: Document) -> tuple[list[list[str]], list[int]]:
     """Return the rows of a table that are not empty, and their line numbers. Raises FormatError."""
-    reader = csv.reader(io.StringIO(item.document.text, newline=""))
+    reader = csv.reader(io.StringIO(document.text, newline=""))
     rows, lines = [], []
     try:
         for cells in reader:
@@ -91,6 +91,6 @@ def _read_rows(item: Item) -> tuple[list[list[str]], list[int]]:
                 lines.append(reader.line_num)
     except csv.Error as error:
         raise FormatError(
-            item.origin.source, "comma-separated values", error, "export it again"
+            document.source, "comma-separated values", error, "export it again"
         ) from None
     return rows, lines

@@ -13,14 +13,15 @@ import numpy as np
 
 from mocap_calib.config import LARGEST_SHARE
 from mocap_calib.errors import FormatError, argument
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import (
     NO_SCORE,
     make_view,
     stack_detections,
     visibility_as_confidence,
 )
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import LAYOUTS, layout_remedy
+from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import frames_of
 from mocap_calib.types import Floats, Keypoints2D
 
@@ -37,10 +38,10 @@ def sniff(document: Document) -> bool:
     return _LINE_OF_NUMBERS.fullmatch(next(lines, "")) is not None
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera, in pixels of the image size that the user gives. Raises FormatError."""
-    source = item.origin.source
-    size = options.size_of(item.origin.camera)
+    source = document.source
+    size = options.size_of(document.origin.camera)
     if size == (0, 0):
         raise FormatError(
             source,
@@ -49,14 +50,14 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
             f"say {argument('image_size', 'WIDTHxHEIGHT')}",
         )
     if not options.layout:
-        raise _names_wanted(item.document, source)
-    file_names, numbers = frames_of(item)
-    rows = [list(_rows(document)) for document in item.documents()]
+        raise _names_wanted(document, source)
+    file_names, numbers = frames_of(document)
+    rows = [list(_rows(document)) for document in document.documents()]
     values = stack_detections(_detections(rows, len(options.layout)), len(options.layout), source)
     _check_shares(values, source)
     is_unscored = bool(np.isnan(values[..., 2]).all())
     view = make_view(
-        item.origin,
+        document.origin,
         options.layout,
         numbers,
         _in_pixels(values, size, is_unscored=is_unscored),

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from mocap_calib.io.atomic import check_no_other_files, write_files
 from mocap_calib.io.cameras.source import FILE_NAME, need_names
-from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, KeypointFormat
+from mocap_calib.io.format import Format, Written, find_format
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.items import FOLDER_SUFFIXES
 from mocap_calib.io.keypoints.losses import require_followed
-from mocap_calib.io.registry import Written, find_format
 from mocap_calib.types import Keypoints2D
 
 
@@ -27,7 +27,7 @@ def format_keypoints(views: tuple[Keypoints2D, ...], format: str) -> Written:
     return Written(files, tuple(loss.what for loss in known.loses if loss.has(views)))
 
 
-def find_written_format(name: str) -> KeypointFormat:
+def find_written_format(name: str) -> Format:
     """Return the format of that name. Raises MismatchError where it is not one that is written."""
     known = find_format(KEYPOINT_FORMATS, name)
     known.writer()

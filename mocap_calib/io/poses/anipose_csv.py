@@ -12,7 +12,7 @@ import io
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.file import decode
+from mocap_calib.io.document import Document
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
@@ -33,22 +33,22 @@ _MOST_VIEWS = 1e6  # what no file has
 _REMEDY = "export them again"
 
 
-def sniff(content: bytes) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether the first line has the names of the columns."""
-    header = content[:_LONGEST_HEADER].split(b"\n", 1)[0]
+    header = document.start[:_LONGEST_HEADER].split(b"\n", 1)[0]
     return b"_ncams" in header and b"_x" in header and _FRAME.encode() in header
 
 
 # --- reading
 
 
-def parse(content: bytes, source: str) -> PoseFile:
+def read(document: Document) -> PoseFile:
     """Read the poses in the axes of the file. Raises FormatError."""
-    header, rows = _split_rows(content, source)
-    names = _find_keypoints(header, source)
+    header, rows = _split_rows(document)
+    names = _find_keypoints(header, document.source)
     columns = {name: index for index, name in enumerate(header)}
-    table = _parse_table(rows, len(header), source)
-    frames = _parse_frames(table[:, columns[_FRAME]], source)
+    table = _parse_table(rows, len(header), document.source)
+    frames = _parse_frames(table[:, columns[_FRAME]], document.source)
     wanted = [columns[f"{name}_{field}"] for name in names for field in _FIELDS]
     values = table[:, wanted].reshape(len(table), 1, len(names), len(_FIELDS))
     views = np.nan_to_num(values[..., 4], nan=0.0, posinf=0.0, neginf=0.0).clip(0, _MOST_VIEWS)
@@ -64,15 +64,15 @@ def parse(content: bytes, source: str) -> PoseFile:
     return PoseFile(poses)
 
 
-def _split_rows(content: bytes, source: str) -> tuple[list[str], list[list[str]]]:
+def _split_rows(document: Document) -> tuple[list[str], list[list[str]]]:
     """Return the cells of the header and of each row that is not empty. Raises FormatError."""
-    text = io.StringIO(decode(content, source), newline="")
+    text = io.StringIO(document.text, newline="")
     try:
         rows = [row for row in csv.reader(text) if row]
     except (csv.Error, ValueError) as error:
-        raise FormatError(source, "comma-separated values", error, _REMEDY) from None
+        raise document.refuse("comma-separated values", error, _REMEDY) from None
     if not rows:
-        raise FormatError(source, "comma-separated values", "no row", _REMEDY)
+        raise document.refuse("comma-separated values", "no row", _REMEDY)
     return rows[0], rows[1:]
 
 

@@ -16,6 +16,7 @@ import c3d
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.document import Document
 from mocap_calib.io.poses.axes import up_axis
 from mocap_calib.io.poses.common import (
     PoseFile,
@@ -53,28 +54,31 @@ class _Content:
     unit: str
 
 
-def sniff(content: bytes) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether the mark is there, and parameters begin in the second block."""
-    return len(content) >= _SHORTEST and content.startswith(_START)
+    return document.size >= _SHORTEST and document.start.startswith(_START)
 
 
 # --- reading
 
 
-def parse(content: bytes, source: str) -> PoseFile:
+def read(document: Document) -> PoseFile:
     """Read the markers; where all are called `name:marker`, those of each individual.
 
     Raises FormatError.
     """
-    with refuse_damage(source, "a whole C3D file"), warnings.catch_warnings(record=True) as caught:
+    with (
+        refuse_damage(document.source, "a whole C3D file"),
+        warnings.catch_warnings(record=True) as caught,
+    ):
         warnings.simplefilter("always")
-        found = _read(content)
+        found = _read(document.content)
     cut = any("end of file" in str(warning.message) for warning in caught)
     if cut or not len(found.frames):
-        raise FormatError(source, "a whole C3D file", "one that is cut", "copy it again")
-    unit = known_unit(found.unit, f"{source}: POINT:UNITS")
+        raise document.refuse("a whole C3D file", "one that is cut", "copy it again")
+    unit = known_unit(found.unit, f"{document.source}: POINT:UNITS")
     individuals, keypoints = _split_labels(found.labels)
-    positions = _split_markers(found, individuals, keypoints, source)
+    positions = _split_markers(found, individuals, keypoints, document.source)
     poses = bare_poses(keypoints, found.frames, positions, unit=unit)
     names = tuple(individual or _ONLY_INDIVIDUAL for individual in individuals)
     return PoseFile(poses, found.rate, names)

@@ -1,6 +1,5 @@
 """What a file of 3D poses holds besides the poses, and what the formats share."""
 
-import io
 import re
 import struct
 import zipfile
@@ -14,7 +13,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, argument, one_line
-from mocap_calib.io.crash_guard import HDF5
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import find_repeated
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.units import unit_factor
@@ -128,14 +127,22 @@ def refuse_damage(
         raise FormatError(source, expected, found, remedy) from None
 
 
-def is_hdf5_that(content: bytes, test: Callable[[h5py.File], bool]) -> bool:
+@contextmanager
+def opened_hdf5(
+    document: Document, expected: str, remedy: str = "write the file again"
+) -> Iterator[h5py.File]:
+    """Open an HDF5 file, and turn what is raised on damage into a FormatError."""
+    with refuse_damage(document.source, expected, remedy):
+        if document.hdf5 is None:
+            raise document.refuse(expected, document.describe()[0], remedy)
+        yield document.hdf5
+
+
+def is_hdf5_that(document: Document, test: Callable[[h5py.File], bool]) -> bool:
     """Return whether the content is HDF5 that passes the test; damaged files do not."""
-    if not content.startswith(HDF5):
-        return False
     try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            return bool(test(file))
-    except DAMAGE:
+        return document.is_hdf5 and bool(test(document.hdf5))
+    except (FormatError, *DAMAGE):
         return False
 
 
@@ -191,24 +198,6 @@ def attribute(attributes: Mapping[str, Any], key: str) -> str:
     """Return a text attribute of HDF5, "" where there is none."""
     value = attributes.get(key, "")
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-
-
-# --- for formats that are only written
-
-
-def never(content: bytes) -> bool:
-    """Return False: no content is of a format that is only written."""
-    return False
-
-
-def refuse_reading(content: bytes, source: str) -> PoseFile:
-    """Raise MismatchError: the format is only written."""
-    raise MismatchError(
-        source,
-        "a format that is read",
-        "one that is only written",
-        "give the file that it was made of, or leave the name of the format out",
-    )
 
 
 # --- for writers

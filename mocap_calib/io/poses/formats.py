@@ -1,7 +1,6 @@
 """The table of formats of 3D poses: how each is recognised by content, read and written."""
 
-from collections.abc import Callable
-
+from mocap_calib.io.format import Format
 from mocap_calib.io.poses import (
     anipose_csv,
     blender,
@@ -15,43 +14,36 @@ from mocap_calib.io.poses import (
     sleap_anipose,
     trc,
 )
-from mocap_calib.io.poses.common import PoseFile, WrittenPoses, never, refuse_reading
-from mocap_calib.io.registry import Format
 
-# read: content and what complaints call it. write: the poses and a title
-PoseFormat = Format[
-    Callable[[bytes], bool],
-    Callable[[bytes, str], PoseFile],
-    Callable[[PoseFile, str], WrittenPoses],
-]
+OWN = "poses-h5"  # the format of a run
 
 # in the order in which they are tried
 POSE_FORMATS = (
-    PoseFormat(
+    Format(
         kind="poses",
         name="poses-h5",
         title="mocap-calib poses3d.h5",
         sniff=poses3d_h5.sniff,
-        read=poses3d_h5.parse,
+        read=poses3d_h5.read,
         write=poses3d_h5.write,
         endings=(".h5",),
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="anipose-csv",
         title="Anipose CSV",
         sniff=anipose_csv.sniff,
-        read=anipose_csv.parse,
+        read=anipose_csv.read,
         write=anipose_csv.write,
         endings=(".csv",),
         single=True,
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="trc",
         title="OpenSim TRC",
         sniff=trc.sniff,
-        read=trc.parse,
+        read=trc.read,
         write=trc.write,
         endings=(".trc",),
         single=True,
@@ -59,90 +51,81 @@ POSE_FORMATS = (
         unit="mm",
         up="y",
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="c3d",
         title="C3D",
         sniff=c3d_file.sniff,
-        read=c3d_file.parse,
+        read=c3d_file.read,
         write=c3d_file.write,
         endings=(".c3d",),
         timed=True,
         unit="mm",
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="movement-3d",
         title="movement netCDF",
         sniff=movement.sniff,
-        read=movement.parse,
+        read=movement.read,
         write=movement.write,
         endings=(".nc",),
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="sleap-anipose",
         title="SLEAP-anipose points3d.h5",
         sniff=sleap_anipose.sniff,
-        read=sleap_anipose.parse,
+        read=sleap_anipose.read,
         write=sleap_anipose.write,
         result="points3d.h5",
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="nwb-3d",
         title="NWB with ndx-pose",
         sniff=nwb.sniff,
-        read=nwb.parse,
+        read=nwb.read,
         write=nwb.write,
         endings=(".nwb",),
         timed=True,
         packages=("pynwb", "ndx_pose"),
         extra="nwb",
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="npz",
         title="numpy archive",
         sniff=npz.sniff,
-        read=npz.parse,
+        read=npz.read,
         write=npz.write,
         endings=(".npz",),
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="bvh",
         title="BVH of animation programs",
-        sniff=never,
-        read=refuse_reading,
         write=bvh.write,
-        only_written=True,
         endings=(".bvh",),
         single=True,
         timed=True,
         up="y",
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="blender",
         title="Python script for Blender",
-        sniff=never,
-        read=refuse_reading,
         write=blender.write,
-        only_written=True,
         endings=(".py",),
         result="poses.blend.py",
         rig=True,
         up="z",
     ),
-    PoseFormat(
+    Format(
         kind="poses",
         name="rerun",
         title="rerun recording",
-        sniff=never,
-        read=refuse_reading,
         write=rerun_file.write,
-        only_written=True,
         endings=(".rrd",),
         rig=True,
         packages=("rerun",),

@@ -18,6 +18,7 @@ import numpy as np
 
 from mocap_calib import __version__
 from mocap_calib.errors import MismatchError
+from mocap_calib.io.document import Document
 from mocap_calib.io.hdf5 import array, integers, names
 from mocap_calib.io.keypoints.movement import read_variable
 from mocap_calib.io.poses.common import (
@@ -27,7 +28,7 @@ from mocap_calib.io.poses.common import (
     is_hdf5_that,
     lost_covariance,
     mark_missing,
-    refuse_damage,
+    opened_hdf5,
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.results import Poses3D
@@ -43,9 +44,9 @@ _MOST_VIEWS = 1e6  # what no file has
 _FRAME_TOLERANCE = 0.25  # of a frame, by which a time in seconds may be off
 
 
-def sniff(content: bytes) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether there are positions in three dimensions."""
-    return is_hdf5_that(content, _has_space_of_three)
+    return is_hdf5_that(document, _has_space_of_three)
 
 
 def _has_space_of_three(file: h5py.File) -> bool:
@@ -55,15 +56,15 @@ def _has_space_of_three(file: h5py.File) -> bool:
 # --- reading
 
 
-def parse(content: bytes, source: str) -> PoseFile:
+def read(document: Document) -> PoseFile:
     """Read the poses; frames are counted from the times where the file has no numbers.
 
     Raises FormatError.
     """
     expected = "a 3D data set of movement"
     remedy = "save it again with ds.to_netcdf"
-    with refuse_damage(source, expected, remedy), h5py.File(io.BytesIO(content), "r") as file:
-        return _parse(file, source)
+    with opened_hdf5(document, expected, remedy) as file:
+        return _parse(file, document.source)
 
 
 def _parse(file: h5py.File, source: str) -> PoseFile:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.hdf5 import most_unpacked
 from mocap_calib.io.poses.common import PoseFile, WrittenPoses, refuse_damage
 from mocap_calib.io.units import known_unit
@@ -31,16 +32,16 @@ _WORLD = "world"
 _ZIP = b"PK\x03\x04"
 
 
-def sniff(content: bytes) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether this is a zip archive."""
-    return content.startswith(_ZIP)
+    return document.start.startswith(_ZIP)
 
 
-def parse(content: bytes, source: str) -> PoseFile:
+def read(document: Document) -> PoseFile:
     """Read the arrays. Raises FormatError."""
-    with refuse_damage(source, f"an .npz of poses ({', '.join(_ARRAYS)}, ...)"):
-        check_sizes(content, source)
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+    with refuse_damage(document.source, f"an .npz of poses ({', '.join(_ARRAYS)}, ...)"):
+        check_sizes(document.content, document.source)
+        with np.load(io.BytesIO(document.content), allow_pickle=False) as file:
             poses = Poses3D(
                 keypoints=tuple(map(str, file["keypoints"])),
                 frames=file["frames"].astype(np.int64, casting="safe"),
@@ -48,7 +49,7 @@ def parse(content: bytes, source: str) -> PoseFile:
                 error=file["error"].astype(np.float64),
                 views=file["views"].astype(np.int64, casting="safe"),
                 confidence=file["confidence"].astype(np.float64),
-                unit=known_unit(str(file["unit"]), source),
+                unit=known_unit(str(file["unit"]), document.source),
                 covariance=_read_if_there(file, _COVARIANCE).astype(np.float32),
                 raw=_read_if_there(file, _RAW).astype(np.float64),
                 source=_read_if_there(file, _SOURCE).astype(np.int8),

@@ -6,7 +6,6 @@
 * Written through pynwb and ndx-pose (`pip install mocap-calib[nwb]`); read with h5py alone.
 """
 
-import io
 import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mocap_calib.io.document import Document
 from mocap_calib.io.hdf5 import array
 from mocap_calib.io.keypoints.nwb import frame_numbers_and_rate
 from mocap_calib.io.poses.common import (
@@ -27,7 +27,7 @@ from mocap_calib.io.poses.common import (
     mark_missing,
     need_keypoints,
     need_rate,
-    refuse_damage,
+    opened_hdf5,
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.results import Poses3D
@@ -42,9 +42,9 @@ _LOST = (
 )
 
 
-def sniff(content: bytes) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether there is an estimated pose in three dimensions."""
-    return is_hdf5_that(content, _has_series)
+    return is_hdf5_that(document, _has_series)
 
 
 def _has_series(file: h5py.File) -> bool:
@@ -69,11 +69,11 @@ def _find_series(file: h5py.File) -> dict[tuple[str, str], Any]:
     return found
 
 
-def parse(content: bytes, source: str) -> PoseFile:
+def read(document: Document) -> PoseFile:
     """Read the poses. Raises FormatError."""
     expected = "3D poses of ndx-pose in NWB"
-    with refuse_damage(source, expected), h5py.File(io.BytesIO(content), "r") as file:
-        return _parse(file, source)
+    with opened_hdf5(document, expected) as file:
+        return _parse(file, document.source)
 
 
 def _parse(file: h5py.File, source: str) -> PoseFile:

@@ -3,53 +3,52 @@
 The names of individuals, the rate (`fps`), the edges of the skeleton and the joints may be missing.
 """
 
-import io
-
 import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.hdf5 import integers, names
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
     attribute,
     is_hdf5_that,
-    refuse_damage,
+    opened_hdf5,
 )
-from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
+from mocap_calib.io.results.poses_h5 import poses_to_h5, read_poses_h5
 from mocap_calib.results import Poses3D
 from mocap_calib.types import check_shape
 
 _FORMAT = "mocap-calib poses"
 
 
-def sniff(content: bytes) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether the attribute `format` says that it is ours."""
-    return is_hdf5_that(content, _is_ours)
+    return is_hdf5_that(document, _is_ours)
 
 
 def _is_ours(file: h5py.File) -> bool:
     return attribute(file.attrs, "format") == _FORMAT
 
 
-def parse(content: bytes, source: str) -> PoseFile:
+def read(document: Document) -> PoseFile:
     """Read the poses, the names of the individuals, the rate, the edges and the joints.
 
     Raises FormatError.
     """
-    poses = parse_poses_h5(content, source)
-    with refuse_damage(source, _FORMAT), h5py.File(io.BytesIO(content), "r") as file:
+    poses = read_poses_h5(document)
+    with opened_hdf5(document, _FORMAT) as file:
         individuals: tuple[str, ...] = ()
         if "individual_names" in file:
-            individuals = names(file, "individual_names", source)
+            individuals = names(file, "individual_names", document.source)
         rate = float(file.attrs.get("fps", np.nan))
         return PoseFile(
             poses,
             rate,
             individuals,
-            edges=_read_edges(file, poses, source),
-            joints=_read_joints(file, poses, source),
+            edges=_read_edges(file, poses, document.source),
+            joints=_read_joints(file, poses, document.source),
         )
 
 

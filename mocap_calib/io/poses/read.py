@@ -12,16 +12,18 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.crash_guard import guard_hdf5
-from mocap_calib.io.file import find_repeated, read_bytes
-from mocap_calib.io.poses import poses3d_h5
+from mocap_calib.io.document import NAMELESS, Document
+from mocap_calib.io.file import find_repeated
+from mocap_calib.io.format import require_format, sniff
 from mocap_calib.io.poses.common import UNNAMED, PoseFile, check_poses
-from mocap_calib.io.poses.formats import POSE_FORMATS, PoseFormat
-from mocap_calib.io.registry import find_format, read_names
+from mocap_calib.io.poses.formats import OWN, POSE_FORMATS
 from mocap_calib.io.units import ARBITRARY, refuse_unit
 from mocap_calib.results import Poses3D
 
 
-def read_poses(path: str | Path, format: str | None = None, unit: str | None = None) -> Poses3D:
+def read_poses(
+    path: str | Path | bytes, format: str | None = None, unit: str | None = None
+) -> Poses3D:
     """Read the 3D poses in a file; the arguments are those of `load_poses`.
 
     Raises FormatError and MismatchError.
@@ -29,29 +31,30 @@ def read_poses(path: str | Path, format: str | None = None, unit: str | None = N
     return load_poses(path, format, unit).poses
 
 
-def load_poses(path: str | Path, format: str | None = None, unit: str | None = None) -> PoseFile:
+def load_poses(
+    path: str | Path | bytes, format: str | None = None, unit: str | None = None
+) -> PoseFile:
     """Read all that a file says of 3D poses: also frames per second and names.
 
+    path: of the file, or its content.
     format: name of a pose format; where none is given, the content says it.
     unit: what a length of 1 is ("m", "cm", "mm"), where the file does not say.
 
     Raises FormatError, and MismatchError where the file states another unit.
     """
-    return parse_poses(read_bytes(Path(path)), str(path), format, unit)
-
-
-def parse_poses(
-    content: bytes, source: str, format: str | None = None, unit: str | None = None
-) -> PoseFile:
-    """Return what `load_poses` does of the content of a file; `source` stands for its path."""
-    file = guard_hdf5(content, len(content), source, _parse, content, source, format)
+    given = (
+        Document(Path(NAMELESS), given=path) if isinstance(path, bytes) else Document(Path(path))
+    )
+    # a format that is named is taken at its word: its own complaint says more
+    document = replace(given, format=format)
+    known, file = guard_hdf5(document, _read, document, format)
     if unit is None:
         return file
-    if poses3d_h5.sniff(content) and file.poses.unit == ARBITRARY:
-        raise refuse_unit(source, unit)
+    if known == OWN and file.poses.unit == ARBITRARY:
+        raise refuse_unit(document.source, unit)
     if file.poses.unit not in (ARBITRARY, unit):
         raise MismatchError(
-            source,
+            document.source,
             f"lengths in {file.poses.unit}, as the file says",
             argument("input_unit", unit),
             "leave it out",
@@ -59,10 +62,11 @@ def parse_poses(
     return replace(file, poses=replace(file.poses, unit=unit))
 
 
-def looks_like_poses(content: bytes) -> bool:
+def looks_like_poses(path: Path | bytes) -> bool:
     """Return whether the content of a file is of one of the formats."""
+    given = Document(Path(NAMELESS), given=path) if isinstance(path, bytes) else Document(path)
     try:
-        return guard_hdf5(content, len(content), "content", _sniff, content) != ""
+        return bool(guard_hdf5(given, sniff, POSE_FORMATS, given))
     except FormatError:
         return False
 
@@ -89,24 +93,10 @@ def join_individuals(files: Sequence[PoseFile], source: str) -> PoseFile:
     return PoseFile(poses, first.rate, _join_names(files), notes, first.edges, joints=first.joints)
 
 
-def _sniff(content: bytes) -> str:
-    """Return the name of the format that the content shows, "" where it shows none."""
-    return next((each.name for each in POSE_FORMATS if each.sniff(content)), "")
-
-
-def _parse(content: bytes, source: str, format: str | None) -> PoseFile:
-    known = _find_format(content, source, format)
-    return check_poses(known.read(content, source), source)
-
-
-def _find_format(content: bytes, source: str, format: str | None) -> PoseFormat:
-    """Return the format that is named, or that the content shows. Raises FormatError."""
-    name = format or _sniff(content)
-    if name:
-        return find_format(POSE_FORMATS, name)
-    found = f"content that begins with {content[:16]!r}" if content else "an empty file"
-    expected = f"one of: {', '.join(read_names(POSE_FORMATS))}"
-    raise FormatError(source, expected, found, "export one of these, or name it")
+def _read(document: Document, format: str | None) -> tuple[str, PoseFile]:
+    """Return the name of the format, and the poses. Raises FormatError."""
+    known = require_format(POSE_FORMATS, document, format, "export one of these, or name it")
+    return known.name, check_poses(known.reader()(document), document.source)
 
 
 def _belong_together(first: PoseFile, other: PoseFile) -> bool:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import h5py
 import numpy as np
 
+from mocap_calib.io.document import Document
 from mocap_calib.io.hdf5 import array, integers, names
 from mocap_calib.io.poses.common import (
     PoseFile,
@@ -22,15 +23,15 @@ from mocap_calib.io.poses.common import (
     is_hdf5_that,
     lost_quality,
     mark_missing,
-    refuse_damage,
+    opened_hdf5,
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import check_shape
 
 
-def sniff(content: bytes) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether there are tracks of 3D points."""
-    return is_hdf5_that(content, _has_tracks)
+    return is_hdf5_that(document, _has_tracks)
 
 
 def _has_tracks(file: h5py.File) -> bool:
@@ -43,19 +44,19 @@ def _has_tracks(file: h5py.File) -> bool:
 # --- reading
 
 
-def parse(content: bytes, source: str) -> PoseFile:
+def read(document: Document) -> PoseFile:
     """Read the tracks as individuals; nodes without names are numbered. Raises FormatError."""
     expected = "points3d.h5 of SLEAP-anipose"
-    with refuse_damage(source, expected), h5py.File(io.BytesIO(content), "r") as file:
-        positions = array(file, "tracks", source).astype(np.float64)
+    with opened_hdf5(document, expected) as file:
+        positions = array(file, "tracks", document.source).astype(np.float64)
         check_shape("tracks", positions, None, None, None, 3)
         frames = np.arange(len(positions))
         if "frames" in file:
-            frames = integers(file, "frames", source)
-        keypoints = _names_if_given(file, "node_names", source)
-        individuals = _names_if_given(file, "track_names", source)
+            frames = integers(file, "frames", document.source)
+        keypoints = _names_if_given(file, "node_names", document.source)
+        individuals = _names_if_given(file, "track_names", document.source)
         rate = float(file.attrs.get("fps", np.nan))
-        unit = known_unit(attribute(file.attrs, "unit"), source)
+        unit = known_unit(attribute(file.attrs, "unit"), document.source)
         notes: tuple[str, ...] = ()
         if not keypoints:
             nodes = positions.shape[2]

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.file import decode
+from mocap_calib.io.document import Document
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
@@ -36,25 +36,25 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _NAMES = r"[^\t\r\n\x0b\x0c\x1c-\x1e\x85\u2028\u2029\ud800-\udfff]*[^\s\ud800-\udfff]"
 
 
-def sniff(content: bytes) -> bool:
+def sniff(document: Document) -> bool:
     """Return whether the first word is that of a TRC."""
-    return content[:64].lstrip(_BYTE_ORDER_MARK).startswith(b"PathFileType")
+    return document.start[:64].lstrip(_BYTE_ORDER_MARK).startswith(b"PathFileType")
 
 
 # --- reading
 
 
-def parse(content: bytes, source: str) -> PoseFile:
+def read(document: Document) -> PoseFile:
     """Read the markers. Raises FormatError."""
-    lines = decode(content, source).splitlines()
+    lines = document.text.splitlines()
     if len(lines) < _HEADER_LINES:
         expected = "the five lines of a TRC header"
-        raise FormatError(source, expected, f"{len(lines)}", "write the file again")
-    header = _parse_header(lines, source)
-    names = _parse_names(lines[3], header["NumMarkers"], source)
-    frames, positions = _parse_rows(lines[_HEADER_LINES:], len(names), source)
-    rate = _parse_rate(header["DataRate"], source)
-    unit = known_unit(header["Units"], f"{source}: line 3")
+        raise document.refuse(expected, len(lines), "write the file again")
+    header = _parse_header(lines, document.source)
+    names = _parse_names(lines[3], header["NumMarkers"], document.source)
+    frames, positions = _parse_rows(lines[_HEADER_LINES:], len(names), document.source)
+    rate = _parse_rate(header["DataRate"], document.source)
+    unit = known_unit(header["Units"], f"{document.source}: line 3")
     return PoseFile(bare_poses(names, frames, positions[:, None], unit=unit), rate)
 
 

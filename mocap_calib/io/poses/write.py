@@ -5,10 +5,10 @@ from pathlib import Path
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import individual_files, write_bytes, write_files
+from mocap_calib.io.format import Written, find_format
 from mocap_calib.io.poses.axes import turn_upright
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.registry import Written, find_format
 
 
 def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Written:

@@ -10,10 +10,10 @@ import numpy as np
 from mocap_calib.errors import MismatchError, argument, describe_lost, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import format_rig, write_cameras
+from mocap_calib.io.format import Format, find_format, written_names
 from mocap_calib.io.poses.common import PoseFile, bare_poses, describe_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import format_poses, write_poses
-from mocap_calib.io.registry import AnyFormat, find_format, written_names
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import CameraRig, Recording
@@ -49,7 +49,7 @@ def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY
                 f"{name!r}",
                 suggest(name, (*poses, *cameras)),
             )
-        known: AnyFormat
+        known: Format
         known = find_format(POSE_FORMATS if name in poses else CAMERA_FORMATS, name)
         known.writer()
         if unit == ARBITRARY:
@@ -88,7 +88,7 @@ def check_recording(
             format_poses(file, name, Path("poses"))
 
 
-def _check_unit(known: AnyFormat) -> None:
+def _check_unit(known: Format) -> None:
     """Raise MismatchError where a format needs a unit of length, with the way to write it."""
     if not known.unit:
         return

@@ -7,7 +7,6 @@ individual, keypoint, 6]`, position_raw where that is not the position, individu
 its axes, its unit and its meaning in attributes.
 """
 
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib import mapped
-from mocap_calib.errors import FormatError
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
+from mocap_calib.io.document import Document
 from mocap_calib.io.hdf5_packed import write_packed
 from mocap_calib.io.world_fields import read_world, world_fields
 from mocap_calib.results import POINT_SOURCES, Poses3D
@@ -139,22 +138,21 @@ def poses_to_h5(
     return content
 
 
-def parse_poses_h5(content: bytes, source: str) -> Poses3D:
-    """Return the poses in the content of a file that `poses_to_h5` or `write_poses_h5` wrote.
+def read_poses_h5(document: Document) -> Poses3D:
+    """Return the poses in a file that `poses_to_h5` or `write_poses_h5` wrote.
 
-    Raises FormatError. Call it through `io.poses.read.parse_poses`, which contains HDF5.
+    Raises FormatError. Call it through `io.poses.read`, which guards against crashes.
     """
     try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            poses = _read(file, source)
+        poses = _read(document.hdf5, document.source)
         check_shape("position", poses.positions, len(poses.frames), None, len(poses.keypoints), 3)
         shape = poses.positions.shape[:3]
         check_shape("error", poses.error, *shape)
         check_shape("views", poses.views, *shape)
         check_shape("confidence", poses.confidence, *shape)
     except hdf5.HDF5_DAMAGE as damage:
-        raise FormatError(
-            source, f"{_FORMAT}, version {VERSION}", f"an error ({damage})", "write the file again"
+        raise document.refuse(
+            f"{_FORMAT}, version {VERSION}", f"an error ({damage})", "write the file again"
         ) from None
     return poses
 

@@ -9,8 +9,8 @@ from typing import Any
 import h5py
 
 from mocap_calib.io.cameras.own import SUBFRAME
-from mocap_calib.io.cameras.syntax import parse_yaml
 from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.syntax import parse_yaml
 
 
 def provenance_of_cameras(path: Path) -> dict[str, Any]:

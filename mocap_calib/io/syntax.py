@@ -109,3 +109,5 @@ def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:
 
 
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+
+PARSERS = {"json": parse_json, "toml": parse_toml, "yaml": parse_yaml}

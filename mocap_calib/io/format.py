@@ -1,35 +1,42 @@
-"""The record of a file format, and what is asked of a table of formats.
-
-Each kind of file has its table: `io.keypoints.formats`, `io.cameras.formats`, `io.poses.formats`.
-A new format is one file beside the table, one entry in it, and a row in docs/formats.md.
-"""
+"""The record of a file format, what it loses, and what is asked of a table of formats."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Literal
 
-from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.io.keypoints.losses import Loss
+from mocap_calib.errors import FormatError, MismatchError, suggest
+from mocap_calib.io.document import Document
 
 Kind = Literal["keypoints", "cameras", "poses"]
-Sniff = TypeVar("Sniff", bound=Callable[..., bool])
-Read = TypeVar("Read", bound=Callable[..., Any])
-Write = TypeVar("Write", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What a format has no place for.
+
+    what: words that follow "does not hold".
+    has: whether records of its kind have it.
+    """
+
+    what: str
+    has: Callable[[Sequence[Any]], bool]
 
 
 @dataclass(frozen=True, kw_only=True)  # `frozen` makes no class of keywords alone
-class Format(Generic[Sniff, Read, Write]):
+class Format:
     """A file format; what its three functions take and return is said by the table of its kind.
 
     kind: what its files hold.
     name: how users call it (`--format`, `--from`, `--to`).
     title: the program and the ending of its files, for sentences.
-    sniff: whether a file is meant for this format, which its reader may still refuse.
-    read: the content of a file as records.
-    write: records as files; None where the format is only read.
-    only_written: `sniff` and `read` refuse all.
+    sniff: whether a document is meant for this format, which its reader may still refuse; None
+        where the format is only written.
+    read: the records of a document: `(document, options)` of keypoints, else `(document)`; None
+        where the format is only written.
+    write: records as `Written` files: `(views)` of keypoints, `(rig, provenance)` of cameras, with
+        points where the format has them, `(file, title)` of poses; None where it is only read.
     endings: of the names of files that are written in this format unless another is named.
     per_frame: a file holds one frame, a folder one camera (keypoints).
     folder: the format is several files, by names of its own (cameras).
@@ -50,10 +57,9 @@ class Format(Generic[Sniff, Read, Write]):
     kind: Kind
     name: str
     title: str
-    sniff: Sniff
-    read: Read
-    write: Write | None = None
-    only_written: bool = False
+    sniff: Callable[[Document], bool] | None = None
+    read: Callable[..., Any] | None = None
+    write: Callable[..., Any] | None = None
     endings: tuple[str, ...] = ()
     per_frame: bool = False
     folder: bool = False
@@ -69,7 +75,22 @@ class Format(Generic[Sniff, Read, Write]):
     points: bool = False
     loses: tuple[Loss, ...] = ()
 
-    def writer(self) -> Write:
+    def sniffs(self, document: Document) -> bool:
+        """Return whether a document is meant for this format. Raises FormatError."""
+        return self.sniff is not None and self.sniff(document)
+
+    def reader(self) -> Callable[..., Any]:
+        """Return what reads the format. Raises MismatchError where it is only written."""
+        if self.read is None:
+            raise MismatchError(
+                self.name,
+                "a format that is read",
+                "one that is only written",
+                "give the file that it was made of, or leave the name of the format out",
+            )
+        return self.read
+
+    def writer(self) -> Callable[..., Any]:
         """Return what writes the format.
 
         Raises MismatchError where it is only read, and where the packages for it are not there.
@@ -92,10 +113,6 @@ class Format(Generic[Sniff, Read, Write]):
         return self.write
 
 
-AnyFormat = Format[Any, Any, Any]
-OneFormat = TypeVar("OneFormat", bound=AnyFormat)
-
-
 @dataclass(frozen=True)
 class Written:
     """Files to write: relative path -> content, and what of the records they do not carry."""
@@ -104,7 +121,40 @@ class Written:
     lost: tuple[str, ...] = ()
 
 
-def find_format(formats: Sequence[OneFormat], name: str) -> OneFormat:
+def sniff(formats: Iterable[Format], document: Document, name: str | None = None) -> str:
+    """Return the name of the format that the content shows, "" where it shows none.
+
+    Only the format of that name is tried where one is given. Raises FormatError.
+    """
+    tried = (each for each in formats if name in (None, each.name))
+    return next((each.name for each in tried if each.sniffs(document)), "")
+
+
+def require_format(
+    formats: Sequence[Format], document: Document, name: str | None, remedy: str
+) -> Format:
+    """Return the format of a document: what it is known to have, else what its content shows.
+
+    name: of the only format to try; None: all of them. remedy: for content of no format.
+
+    Raises FormatError where the content is of no format, or not of the one that is named.
+    """
+    shown = sniff(formats, document, name) if document.format is None else document.format
+    if shown:
+        return find_format(formats, shown)
+    found, own_remedy = document.describe()
+    expected = expected_formats(formats)
+    if name is not None:
+        expected, remedy = find_format(formats, name).title, "name another format, or none"
+    raise FormatError(document.source, expected, found, own_remedy or remedy)
+
+
+def expected_formats(formats: Sequence[Format]) -> str:
+    """Return the formats that are read, for refusals."""
+    return f"{formats[0].kind}, one of: {', '.join(read_names(formats))}"
+
+
+def find_format(formats: Sequence[Format], name: str) -> Format:
     """Return the format of that name. Raises MismatchError, which lists the names."""
     for each in formats:
         if each.name == name:
@@ -118,22 +168,22 @@ def find_format(formats: Sequence[OneFormat], name: str) -> OneFormat:
     )
 
 
-def format_names(formats: Iterable[AnyFormat]) -> tuple[str, ...]:
+def format_names(formats: Iterable[Format]) -> tuple[str, ...]:
     """Return the names of the formats, in the order in which they are tried."""
     return tuple(each.name for each in formats)
 
 
-def read_names(formats: Iterable[AnyFormat]) -> tuple[str, ...]:
+def read_names(formats: Iterable[Format]) -> tuple[str, ...]:
     """Return the names of the formats that are read."""
-    return tuple(each.name for each in formats if not each.only_written)
+    return tuple(each.name for each in formats if each.read is not None)
 
 
-def written_names(formats: Iterable[AnyFormat]) -> tuple[str, ...]:
+def written_names(formats: Iterable[Format]) -> tuple[str, ...]:
     """Return the names of the formats that are written."""
     return tuple(each.name for each in formats if each.write is not None)
 
 
-def names_by_ending(formats: Iterable[AnyFormat]) -> dict[str, tuple[str, ...]]:
+def names_by_ending(formats: Iterable[Format]) -> dict[str, tuple[str, ...]]:
     """Return the names of the formats that are written to files with an ending: ending -> names."""
     found: dict[str, tuple[str, ...]] = {}
     for each in formats:

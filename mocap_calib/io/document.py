@@ -1,0 +1,325 @@
+"""Hold a file, or the files of a folder, while formats look at it: read once and parsed once.
+
+However many formats look at a file, it is read and parsed once, so that a pipe can be sniffed too.
+"""
+
+import codecs
+import csv
+import io
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import h5py
+import msgspec
+
+from mocap_calib.errors import FormatError
+from mocap_calib.io.file import Origin, decode, is_utf16, opened, read_bytes
+from mocap_calib.io.hdf5 import HDF5, HDF5_DAMAGE, damage_refused
+from mocap_calib.io.syntax import PARSERS, is_toml
+
+# beginnings of files that hold something else around what is wanted: what they are, what to do
+_FOREIGN = {
+    b"\x1f\x8b": ("a file that gzip compressed", "gunzip it"),
+    b"PK\x03\x04": ("a zip archive", "unpack it"),
+    b"MATLAB 7.3": ("a MATLAB 7.3 file", "save it with -v7"),
+    b"CDF\x01": ("netCDF 3", "save it as netCDF 4"),
+    b"CDF\x02": ("netCDF 3", "save it as netCDF 4"),
+}
+_BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
+_DAMAGED = "the file is cut or damaged: export it again"
+_LISTED_TEXT = 40  # characters of a file in a message
+_HEAD = 65536  # bytes of a file that formats are told by
+_BLOCK = 250_000  # bytes that are read at a time
+NAMELESS = "stdin"  # the path of content that comes without one
+
+
+@dataclass(frozen=True)
+class Document:
+    """One file, or the files of a folder; read when they are first looked at.
+
+    A folder shows the content of its first file that is not empty. All properties raise
+    FormatError. A large file is read whole only where its `content` is asked for.
+
+    path: names it in messages; its content is there, unless it is `given`.
+    members: the files of a folder, by name.
+    camera: the name that the path gives, or the user (`named`).
+    format: name of the format, "" where the content is of none; None where nobody has looked yet.
+    """
+
+    path: Path
+    given: bytes | None = None
+    members: tuple[Path, ...] = ()
+    camera: str = ""
+    named: bool = False
+    format: str | None = None
+
+    @property
+    def source(self) -> str:
+        """The file or folder, as messages name it."""
+        return str(self.path)
+
+    @property
+    def origin(self) -> Origin:
+        """Camera and path."""
+        return Origin(self.camera, self.source)
+
+    @property
+    def stem(self) -> str:
+        """The file's name without its ending."""
+        return self.path.stem
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is the files of a folder."""
+        return bool(self.members)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of a folder's files."""
+        return tuple(member.name for member in self.members)
+
+    def of(self, name: str) -> "Document":
+        """Return one file of the folder."""
+        return Document(self.path / name)
+
+    def documents(self) -> Iterator["Document"]:
+        """Return all files, one in memory at a time."""
+        return map(Document, self.members) if self.members else iter((self,))
+
+    def refuse(self, expected: str, found: object, remedy: str = "export it again") -> FormatError:
+        """Return the refusal of the file."""
+        return FormatError(self.source, expected, found, remedy)
+
+    # --- bytes
+
+    @cached_property
+    def file(self) -> Path:
+        """The path of the content."""
+        documents = [Document(member) for member in self.members]
+        filled = (each.path for each in documents if not each.is_empty)
+        file = next(filled, self.members[0] if self.members else self.path)
+        # the process that reads it may have another working directory
+        return file.absolute() if file.exists() else file
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing but blanks, or an empty list of JSON."""
+        return self.size <= _HEAD and self.content.strip() in (b"", b"[]")
+
+    @cached_property
+    def _read(self) -> tuple[bytes, bool]:
+        """The beginning of the content, and whether it is all.
+
+        What is no file, such as a pipe, is read to its end, since it can be read but once.
+        """
+        if self.given is not None:
+            return self.given, True
+        if self.file.is_file():
+            with opened(self.file) as file:
+                start = file.read(_HEAD)
+            if not is_utf16(start):
+                return start, len(start) < _HEAD
+        return read_bytes(self.file), True
+
+    @property
+    def start(self) -> bytes:
+        """The beginning of the content."""
+        return self._read[0][:_HEAD]
+
+    @cached_property
+    def content(self) -> bytes:
+        """The whole content."""
+        start, is_all = self._read
+        return start if is_all else read_bytes(self.file)
+
+    @property
+    def size(self) -> int:
+        """Number of bytes of the content."""
+        start, is_all = self._read
+        return len(start) if is_all else self.file.stat().st_size
+
+    @contextmanager
+    def opened(self) -> Iterator[BinaryIO]:
+        """Open the content, which is not kept."""
+        start, is_all = self._read
+        if is_all:
+            yield io.BytesIO(start)
+            return
+        with opened(self.file) as file:
+            yield file
+
+    def blocks(self, first_line: int = 0) -> Iterator[bytes]:
+        """Return the content from a line on, in blocks of whole lines, of about 250 kB.
+
+        The file is closed between two blocks: nobody need read it to its end.
+        """
+        with self.opened() as file:
+            for _ in range(first_line):
+                file.readline()
+            place = file.tell()
+        while True:
+            with self.opened() as file:
+                file.seek(place)
+                block = file.read(_BLOCK) + file.readline()
+                place = file.tell()
+            if not block:
+                return
+            yield block
+
+    # --- text
+
+    @cached_property
+    def text(self) -> str:
+        """The content as UTF-8 text."""
+        return decode(self.content, self.source)
+
+    @cached_property
+    def head(self) -> str:
+        """The beginning of the content as text, with marks for what is none."""
+        return self.start.decode("utf-8-sig", errors="replace")
+
+    def lines(self) -> Iterator[str]:
+        """Return the lines of the text with their ends, a block of them in memory at a time."""
+        encoding = "utf-8-sig"  # of the first block
+        for block in self.blocks():
+            try:
+                text = block.decode(encoding)
+            except UnicodeDecodeError:
+                decode(self.content, self.source)  # says where
+                raise
+            yield from io.StringIO(text, newline="")
+            encoding = "utf-8"
+
+    @cached_property
+    def header(self) -> tuple[str, ...]:
+        """The cells of the first line that is not blank; none where it holds control characters."""
+        lines = (line for line in self.head.splitlines() if line.strip())
+        line = next(lines, "")
+        if not line.isprintable() and "\t" not in line:
+            return ()
+        return tuple(cell.strip() for cell in next(csv.reader([line])))
+
+    # --- trees
+
+    @cached_property
+    def syntax(self) -> str:
+        """`folder`, `binary`, `json`, `toml` or `yaml` (which is any other text)."""
+        if self.is_folder:
+            return "folder"
+        if self.content.startswith(_BINARY) or b"\x00" in self.content[:512]:
+            return "binary"
+        if is_toml(self.text):
+            return "toml"
+        return "json" if re.match(r"\s*[\[{]", self.text) else "yaml"
+
+    @cached_property
+    def tree(self) -> Any:
+        """The text parsed by its syntax; each key occurs once."""
+        if self.syntax not in PARSERS:
+            found = "a folder" if self.is_folder else "a binary file"
+            raise self.refuse("text", found, "name another format")
+        return PARSERS[self.syntax](self.text, self.source)
+
+    def mapping(self, *keys: str) -> dict[str, Any]:
+        """Return the tree, which is a mapping with the keys."""
+        expected = "a mapping of names to fields"
+        if not isinstance(self.tree, dict):
+            raise self.refuse(expected, type(self.tree).__name__, "export the cameras again")
+        need(self.tree, keys, self.source)
+        return self.tree
+
+    def has(self, syntax: str, *keys: str) -> bool:
+        """Return whether the file is a mapping of that syntax with all of the keys."""
+        if self.syntax != syntax or not isinstance(self.tree, dict):
+            return False
+        return self.tree.keys() >= set(keys)
+
+    @property
+    def is_json(self) -> bool:
+        """Whether the content begins as a JSON array or object does; `[word` begins TOML."""
+        start = rb"(\xef\xbb\xbf)?\s*(\{|\[(?!\s*\[?\s*[A-Za-z_]))"
+        return re.match(start, self.start[:4096]) is not None
+
+    @cached_property
+    def json(self) -> Any:
+        """The content as JSON, of which a key may occur twice; None where it is none."""
+        if not self.is_json:
+            return None
+        with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return msgspec.json.decode(self.content.removeprefix(codecs.BOM_UTF8))
+        try:  # which also reads NaN and Infinity, and says what is wrong
+            return json.loads(self.text)
+        except RecursionError:
+            raise self.refuse("JSON of keypoints", "JSON nested too deeply") from None
+        except ValueError as error:
+            raise self.refuse("complete JSON", f"an error ({error})", _DAMAGED) from None
+
+    # --- HDF5
+
+    @property
+    def is_hdf5(self) -> bool:
+        """Whether the content has HDF5's signature."""
+        return self.start.startswith(HDF5)
+
+    @cached_property
+    def hdf5(self) -> Any:
+        """The content as an open HDF5 file; None where it is none."""
+        if not self.is_hdf5:
+            return None
+        try:
+            start, is_all = self._read
+            return h5py.File(io.BytesIO(start) if is_all else self.file, "r", locking=False)
+        except HDF5_DAMAGE as error:
+            raise self.refuse("a whole HDF5 file", f"an error ({error})", _DAMAGED) from None
+
+    # --- for refusals
+
+    def describe(self) -> tuple[str, str]:
+        """Return what a file of no known format is, and what to do with it ("" where unclear)."""
+        for start, description_and_remedy in _FOREIGN.items():
+            if self.start.startswith(start):
+                return description_and_remedy
+        return self._describe_content(), ""
+
+    def _describe_content(self) -> str:
+        """Describe JSON, HDF5 or other content."""
+        if self.hdf5 is not None:
+            with damage_refused(self.source, "a whole HDF5 file", _DAMAGED):
+                return f"HDF5 with {describe_names(self.hdf5)}"
+        if self.json is not None:
+            return _describe_json(self.json)
+        if not self.content.strip():
+            return "an empty file"
+        start = " ".join(self.head[:_LISTED_TEXT].split())
+        if start.isprintable():
+            return f"text that begins with {start!r}"
+        return f"content that begins with {self.content[:16]!r}"
+
+
+def _describe_json(content: Any) -> str:
+    """Describe an object or a list."""
+    if isinstance(content, dict):
+        return f"a JSON object with {describe_names(content)}"
+    if content and isinstance(content[0], dict):
+        return f"a JSON list of objects with {', '.join(list(content[0])[:8])}"
+    return f"a JSON list of {len(content)}"
+
+
+def describe_names(names: Iterable[object]) -> str:
+    """Return the first of some names."""
+    return ", ".join(map(str, list(names)[:8])) or "nothing"
+
+
+def need(fields: Mapping[str, Any], keys: Iterable[str], source: str) -> None:
+    """Raise FormatError where a key is missing."""
+    missing = [key for key in keys if key not in fields]
+    if missing:
+        expected = f"the keys {', '.join(keys)}"
+        found = f"none of {', '.join(missing)}"
+        raise FormatError(source, expected, found, "export the cameras again")
