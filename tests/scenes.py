@@ -150,6 +150,21 @@ def precision(labels: np.ndarray, identity: np.ndarray) -> float:
     return good / max(good + wrong, 1)
 
 
+def gaps(rig: CameraRig, seen: Recording, matches: Matches, points: np.ndarray) -> np.ndarray:
+    """Return the ways `[view, frame, individual, joint, 2]` from detections to images of points.
+
+    points: `[frame, individual, joint, 3]`. NaN = not seen, or no point.
+    """
+    images = rig.project(points)
+    found = np.full_like(images, np.nan)
+    for view, frame, instance in np.argwhere(matches.labels >= 0):
+        individual = matches.labels[view, frame, instance]
+        there = seen.seen[view, frame, instance]
+        gap = images[view, frame, individual] - seen.positions[view, frame, instance]
+        found[view, frame, individual, there] = gap[there]
+    return found
+
+
 def turn_cameras(rig: CameraRig, degrees: float, seed: int = 0) -> CameraRig:
     """Turn every camera but the first about its centre by so much."""
     axis = np.random.default_rng(seed).normal(size=(len(rig.cameras), 3))

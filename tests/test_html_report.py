@@ -7,26 +7,24 @@ import json
 import re
 from dataclasses import replace
 from functools import cache
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
-from report_pages import page_data, report_source, unpack, unpack_text
-from report_sizes import large_source
-from scenes import turn_cameras
+from report_pages import (
+    MISSING,
+    large_source,
+    page_data,
+    page_of,
+    report_source,
+    unpack,
+    unpack_text,
+)
+from scenes import gaps, turn_cameras
 
-from mocap_calib.errors import MismatchError
-from mocap_calib.html_report.encode import MISSING, pack, pack_floats, pack_text, to_script
-from mocap_calib.html_report.frames import choose_frames, quantiles, starts_of_stretches
-from mocap_calib.html_report.page import report_page
-from mocap_calib.html_report.source import Reference
-from mocap_calib.types import CameraRig
-from mocap_calib.verdict.checks import CHECKS, find_residuals
+import mocap_calib as mc
 
-ROOT = Path(__file__).parents[1]
 LIMIT = 3_000_000  # bytes
 
 
@@ -37,59 +35,7 @@ def source(**scene):
 
 @cache
 def data():
-    return page_data(report_page(source()))
-
-
-# --- packing
-
-
-@given(
-    st.sampled_from(["i2", "i4", "u1", "u2"]).flatmap(
-        lambda kind: arrays.arrays(kind, arrays.array_shapes(max_dims=3, min_side=0))
-    ),
-    st.booleans(),
-)
-def test_integers_come_back_as_they_were(values, differences):
-    packed = pack(values, delta=values.ndim - 1 if differences else None)
-    assert np.array_equal(unpack(packed), values)
-
-
-def test_floats_keep_four_digits():
-    values = np.array([1.0, -1234.5678, 1e-7, np.nan, 3e20, 0.0])
-    found = unpack(pack_floats(values))
-    assert np.allclose(found, values, rtol=1.3e-4, equal_nan=True)
-    assert found[0] == 1.0
-
-
-def test_text_comes_back_and_cannot_end_its_element():
-    text = 'é </script><script>alert(1)</script> <!-- &amp; \u2028 "\\'
-    assert unpack_text(pack_text(text)) == text
-    written = to_script({text: text})
-    assert json.loads(written) == {text: text}
-    assert not re.search(r"[<>&\u2028]", written)
-
-
-@pytest.mark.parametrize(("total", "count"), [(10, 10), (100, 7), (100_000, 900), (5, 0), (61, 60)])
-def test_frames_are_stretches_over_the_whole_recording(total, count):
-    chosen = choose_frames(total, count)
-    assert len(chosen) <= count
-    assert len(chosen) > 0.7 * count - 1
-    starts = starts_of_stretches(chosen)
-    if count:
-        assert starts[0] == 0
-        assert chosen[0] == 0
-        assert chosen[-1] == total - 1
-    if total == 100_000:
-        assert len(starts) == 15
-
-
-def test_quantiles_are_those_of_numpy():
-    values = np.random.default_rng(0).normal(size=(3, 40))
-    values[0, 5:] = values[1] = np.nan
-    found = quantiles(values, (0.5, 0.95))
-    known = [0, 2]
-    assert np.allclose(found[:, known], np.nanquantile(values[known], (0.5, 0.95), axis=1))
-    assert np.isnan(found[:, 1]).all()
+    return page_data(page_of(source()))
 
 
 # --- what a page holds
@@ -135,22 +81,17 @@ def test_detections_are_where_they_were_seen():
 
 
 def test_errors_are_those_of_the_points():
-    given = source()
-    frames = np.arange(len(given.poses.frames))
-    left = find_residuals(
-        given.seen.recording, given.seen.matches, given.rig, given.poses.raw, frames
-    )
-    fits = data()["fits"]
+    given, views = source(), len(source().rig)
+    gap = gaps(given.rig, given.seen.recording, given.seen.matches, given.poses.raw)
+    fits, distance = data()["fits"], np.linalg.norm(gap, axis=-1)
     joints = unpack(fits["by_joint"])
-    views = len(given.rig)
-    by_joint = np.moveaxis(left.distance, -1, 1).reshape(views, joints.shape[1], -1)
+    by_joint = np.moveaxis(distance, -1, 1).reshape(views, joints.shape[1], -1)
     assert np.allclose(joints, np.nanmedian(by_joint, axis=-1), rtol=1e-3, equal_nan=True)
     counts, residuals = unpack(fits["counts"]), unpack(fits["residuals"])
-    assert np.array_equal(counts.sum((1, 2)), np.isfinite(left.distance).sum((1, 2, 3)))
-    mean = (counts[..., None] * residuals * fits["residual_scale"]).sum((1, 2)) / counts.sum(
-        (1, 2)
-    )[:, None]
-    assert np.allclose(mean, np.nanmean(left.gap.reshape(views, 2, -1), axis=-1), atol=0.01)
+    assert np.array_equal(counts.sum((1, 2)), np.isfinite(distance).sum((1, 2, 3)))
+    sums = (counts[..., None] * residuals * fits["residual_scale"]).sum((1, 2))
+    mean = sums / counts.sum((1, 2))[:, None]
+    assert np.allclose(mean, np.nanmean(gap.reshape(views, -1, 2), axis=1), atol=0.01)
 
 
 def test_runs_say_when_a_camera_shows_an_individual():
@@ -174,7 +115,7 @@ def test_exchanged_names_of_a_file_are_swaps():
     seen = replace(
         given.seen, recording=recording, matches=replace(given.seen.matches, labels=tracked)
     )
-    found = page_data(report_page(replace(given, seen=seen)))["timeline"]
+    found = page_data(page_of(given, seen=seen))["timeline"]
     middle = recording.frames[frames // 2]
     assert unpack(found["swaps"]).tolist() == [[0, middle, 0, 1], [0, middle, 1, 0]]
     assert found["swaps_total"] == 2
@@ -190,41 +131,28 @@ def test_series_are_of_all_bodies():
     assert np.nanmedian(bones[0, 0]) == pytest.approx(length, rel=0.01)
     assert bones.shape == (2, len(source().edges), len(series["bins"]))
     assert np.isfinite(speed).mean() > 0.9
-    per_frame = unpack(page_data(report_page(replace(source(), fps=np.nan)))["series"]["speed"])
+    per_frame = unpack(page_data(page_of(source(), fps=np.nan))["series"]["speed"])
     assert np.allclose(speed, 30 * per_frame, rtol=1e-3, equal_nan=True)
 
 
 def test_a_rig_laid_over_itself_fits_and_a_turned_camera_is_told():
     given = source()
-    same = given.rig.scale(1000.0, "mm") if given.rig.unit == "m" else given.rig.scale(7.0, "mm")
-    found = page_data(report_page(replace(given, reference=Reference("a/ref.toml", same))))
-    assert found["reference"]["title"] == "ref.toml"
-    assert max(each["rotation_deg"] for each in found["reference"]["errors"]) < 1e-5
-    assert max(each["centre_percent"] for each in found["reference"]["errors"]) < 1e-6
-    other = turn_cameras(given.rig, 5.0)
-    found = page_data(report_page(replace(given, reference=Reference("r", other))))
-    assert 2 < max(each["rotation_deg"] for each in found["reference"]["errors"]) < 7
-    strangers = CameraRig(
-        tuple(replace(camera, name=f"x{camera.name}") for camera in given.rig.cameras),
-        given.rig.rotation,
-        given.rig.translation,
-    )
-    with pytest.raises(MismatchError, match="at least two cameras of cam1, cam2, cam3"):
-        report_page(replace(given, reference=Reference("r", strangers)))
+    same = given.rig.scale(7.0, "mm")
+    found = page_data(page_of(given, same))["reference"]
+    assert found["title"] == "ref.toml"
+    assert max(each["rotation_deg"] for each in found["errors"]) < 1e-5
+    assert max(each["centre_percent"] for each in found["errors"]) < 1e-6
+    found = page_data(page_of(given, turn_cameras(given.rig, 5.0)))["reference"]
+    assert 2 < max(each["rotation_deg"] for each in found["errors"]) < 7
+    cameras = tuple(replace(camera, name=f"x{camera.name}") for camera in given.rig.cameras)
+    with pytest.raises(mc.MismatchError, match="cam1, cam2, cam3"):
+        page_of(given, replace(given.rig, cameras=cameras))
 
 
 def test_without_keypoints_the_page_says_so():
-    found = page_data(report_page(replace(source(), seen=None)))
+    found = page_data(page_of(source(), seen=None))
     assert found["detections"] is found["fits"] is found["timeline"] is None
     assert any("no keypoints were read" in note for note in found["notes"])
-
-
-def test_what_checks_mean_is_on_the_page():
-    told = page_data(report_page(source()))["checks"]
-    assert {name: about["text"] for name, about in told.items()} == {
-        kind.name: kind.text for kind in CHECKS
-    }
-    assert {check["name"] for check in source().run["verdict"]["checks"]} <= set(told)
 
 
 # --- safe, small, the same again
@@ -243,7 +171,7 @@ def test_names_are_never_html():
         run={**given.run, "keypoints": list(joints), "model": bad},
         notes=(bad,),
     )
-    page, plain = report_page(named), report_page(given)
+    page, plain = page_of(named), page_of(given)
     for mark in ("<script", "</script", "<img", "onerror", "alert("):
         in_data = page.split('id="report-data">')[1].split("</script>")[0]
         assert mark not in in_data or not mark.startswith("<")
@@ -254,7 +182,7 @@ def test_names_are_never_html():
 
 
 def test_only_what_is_in_the_page_may_run():
-    page = report_page(source())
+    page = page_of(source())
     policy = re.search(r'Content-Security-Policy" content="([^"]+)"', page)[1]
     assert policy.startswith("default-src 'none';")
     for kind, text in (
@@ -269,7 +197,7 @@ def test_only_what_is_in_the_page_may_run():
 
 
 def test_the_same_again():
-    assert report_page(source()) == report_page(source())
+    assert page_of(source()) == page_of(source())
 
 
 @pytest.mark.parametrize(
@@ -283,7 +211,7 @@ def test_the_same_again():
     ids=str,
 )
 def test_pages_of_any_recording_are_small_and_full(size):
-    page = report_page(large_source(source(), **size))
+    page = page_of(large_source(source(), **size))
     found = page_data(page)
     assert len(page.encode()) < LIMIT
     assert found["poses"]["total"] == size["frames"]
@@ -299,11 +227,55 @@ def test_the_page_holds_what_the_same_input_gives_again():
     of_one_run = {"date": "2026-01-31", "seconds": {"lift": 1.0}, "inputs": {"a": "b"}}
     of_one_run |= {"outputs": {"report.html": "c"}, "fingerprint": "d"}
     again = replace(source(), run={**source().run, **of_one_run})
-    assert report_page(again) == report_page(source())
+    assert page_of(again) == page_of(source())
 
 
 def test_nobody_was_found():
     given = source()
     empty = replace(given, poses=given.poses.select([]), seen=None)
-    found = page_data(report_page(empty))
+    found = page_data(page_of(empty))
     assert found["poses"]["individuals"] == []
+
+
+# --- the bundle of web/
+
+
+WEB = Path(__file__).parents[1] / "web"
+
+
+@pytest.mark.parametrize("name", ["page.js", "page.css"])
+def test_the_bundle_is_made_of_these_sources(name):
+    """Otherwise: `make web`, and commit what it makes."""
+    paths = [
+        f"src/{path.name}" for path in (WEB / "src").iterdir() if path.suffixes != [".d", ".ts"]
+    ]
+    digest = hashlib.sha256()
+    for path in sorted(["package.json", "build.mjs", *paths]):
+        digest.update((WEB / path).read_bytes())
+    text = (resources.files("mocap_calib.html_report") / name).read_text(encoding="utf-8")
+    assert re.findall(r"of sources ([0-9a-f]{64})", text) == [digest.hexdigest()]
+
+
+def test_the_bundle_has_its_licences_and_is_small():
+    text = (resources.files("mocap_calib.html_report") / "page.js").read_text(encoding="utf-8")
+    packages = json.loads((WEB / "package.json").read_text())["devDependencies"]
+    for name in ("three", "uplot"):
+        assert f"{name} {packages[name]}" in text
+    assert text.count("THE SOFTWARE IS PROVIDED") == 2
+    assert len(text) < 800_000  # 716,000
+
+
+def test_no_address_of_a_registry_is_in_the_lock_file():
+    lock = json.loads((WEB / "package-lock.json").read_text())
+    packages = [each for path, each in lock["packages"].items() if path]
+    assert packages
+    assert all("resolved" not in each and each["integrity"] for each in packages)
+
+
+def test_markup_is_never_made_of_text():
+    """Elements are made by `dom.ts`, whose children are text."""
+    for path in (WEB / "src").glob("*.ts"):
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|eval\(", text)
+        # style attributes would break the page's policy
+        assert not re.search(r"setAttribute\(.style|\bstyle: ", text), path

@@ -48,8 +48,6 @@ class Shown:
         self.page.on("request", lambda request: self._note_request(request.url, file.as_uri()))
         self.page.goto(file.as_uri())
         self.page.wait_for_selector(READY, timeout=30_000)
-        # milliseconds from the start of the navigation until all of the page stands
-        self.loaded_ms = float(self.page.evaluate("performance.now()"))
 
     def _note_message(self, message: Any) -> None:
         # software rendering has no hardware to be quick with, and Chromium says so
