@@ -26,6 +26,7 @@ from mocap_calib.paper import (
 )
 from mocap_calib.paper.solver import PaperConfig, TwoViews, solve_pairs
 from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
+from mocap_calib.results import LiftedPoses
 from mocap_calib.training.model import LifterModule, Model, load_steerer
 from mocap_calib.types import Bools, Floats, Sample, Skeleton, silent
 
@@ -111,29 +112,25 @@ def all_pairs(estimator: Estimator) -> Method:
     return lambda problems, _: _each(problems, solve)
 
 
-def opencv(method: int) -> Estimator:
-    """Return OpenCV's robust estimation of an essential matrix by this method."""
-
-    def estimate(
-        rays_a: Floats, rays_b: Floats, threshold: float, trials: int
-    ) -> RelativePose | None:
-        if len(rays_a) < FIVE_POINT_LEAST_JOINTS:
-            return None
-        model, mask = cv2.findEssentialMat(
-            rays_a[:, :2] / rays_a[:, 2:],
-            rays_b[:, :2] / rays_b[:, 2:],
-            np.eye(3),
-            method=method,
-            prob=FIVE_POINT_CONFIDENCE,
-            threshold=threshold,
-            maxIters=trials,
-        )
-        if model is None or model.shape != (3, 3) or not np.any(mask):
-            return None
-        inlier = mask.ravel() > 0
-        return pose_from_essential(np.asarray(model), rays_a[inlier], rays_b[inlier])
-
-    return estimate
+def estimate_by_magsac(
+    rays_a: Floats, rays_b: Floats, threshold: float, trials: int
+) -> RelativePose | None:
+    """Return the relative pose by OpenCV's MAGSAC++."""
+    if len(rays_a) < FIVE_POINT_LEAST_JOINTS:
+        return None
+    model, mask = cv2.findEssentialMat(
+        rays_a[:, :2] / rays_a[:, 2:],
+        rays_b[:, :2] / rays_b[:, 2:],
+        np.eye(3),
+        method=cv2.USAC_MAGSAC,
+        prob=FIVE_POINT_CONFIDENCE,
+        threshold=threshold,
+        maxIters=trials,
+    )
+    if model is None or model.shape != (3, 3) or not np.any(mask):
+        return None
+    inlier = mask.ravel() > 0
+    return pose_from_essential(np.asarray(model), rays_a[inlier], rays_b[inlier])
 
 
 def _rays(problem: Problem) -> tuple[Floats, Floats]:
@@ -142,57 +139,47 @@ def _rays(problem: Problem) -> tuple[Floats, Floats]:
     return rays[problem.a], rays[problem.b]
 
 
-def ours(config: PairwiseConfig) -> Method:
-    """Lift and search, as `mocap-calib pairwise` does; the seconds include the lifting."""
+def _lifting(solve: Callable[[Problem, LiftedPoses], Found | None]) -> Method:
+    """Return a method of lifted bodies; its seconds include the lifting."""
 
     def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
         module = models["factorised"]
         assert isinstance(module, LifterModule)
         lifter = lifter_of(module)
-
-        def solve(problem: Problem) -> Found | None:
-            lifted = lift(problem.recording, lifter, progress=silent)
-            gathered = gather_view_pair(
-                problem.recording,
-                lifted,
-                (problem.a, problem.b),
-                config=config,
-                rng=np.random.default_rng(0),
-            )
-            found = calibrate_pair(gathered, config)
-            if found is None:
-                return None
-            return Found(found.rotation, found.translation, found.matches)
-
-        return _each(problems, solve)
+        return _each(
+            problems, lambda each: solve(each, lift(each.recording, lifter, progress=silent))
+        )
 
     return method
+
+
+def ours(config: PairwiseConfig) -> Method:
+    """Search and refine, as `mocap-calib pairwise` does."""
+
+    def solve(problem: Problem, lifted: LiftedPoses) -> Found | None:
+        views, rng = (problem.a, problem.b), np.random.default_rng(0)
+        gathered = gather_view_pair(problem.recording, lifted, views, config=config, rng=rng)
+        found = calibrate_pair(gathered, config)
+        return None if found is None else Found(found.rotation, found.translation, found.matches)
+
+    return _lifting(solve)
 
 
 Rival = Callable[[LiftedPair, Bools | None], Found | None]
 
 
-def rival(solve: Rival, *, adjusted: bool, informed: bool = False) -> Method:
-    """Lift and register; the seconds include the lifting. informed: who is who is given."""
+def rival(register: Rival, *, adjusted: bool, informed: bool = False) -> Method:
+    """Register lifted bodies. informed: identities are given."""
 
-    def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
-        module = models["factorised"]
-        assert isinstance(module, LifterModule)
-        lifter = lifter_of(module)
+    def solve(problem: Problem, lifted: LiftedPoses) -> Found | None:
+        sample = problem.recording
+        pair = lifted_pair(sample, lifted, _skeleton_of(sample), problem.a, problem.b)
+        if informed and problem.identities is None:
+            raise ValueError("expected problems with identities, found one without")
+        found = register(pair, problem.identities if informed else None)
+        return adjust(pair, found) if found is not None and adjusted else found
 
-        def solve_one(problem: Problem) -> Found | None:
-            recording = problem.recording
-            lifted = lift(recording, lifter, progress=silent)
-            skeleton = _skeleton_of(recording)
-            pair = lifted_pair(recording, lifted, skeleton, problem.a, problem.b)
-            if informed and problem.identities is None:
-                raise ValueError("expected problems with identities, found one without")
-            found = solve(pair, problem.identities if informed else None)
-            return adjust(pair, found) if found is not None and adjusted else found
-
-        return _each(problems, solve_one)
-
-    return method
+    return _lifting(solve)
 
 
 def _skeleton_of(recording: Sample) -> Skeleton:
@@ -255,8 +242,8 @@ def paper(architecture: str, config: PaperConfig) -> Method:
 METHODS: dict[str, Method] = {
     "five-point": five_point(estimate_by_loransac),
     "all-pairs": all_pairs(estimate_by_loransac),
-    "five-point-magsac": five_point(opencv(cv2.USAC_MAGSAC)),
-    "magsac": all_pairs(opencv(cv2.USAC_MAGSAC)),
+    "five-point-magsac": five_point(estimate_by_magsac),
+    "magsac": all_pairs(estimate_by_magsac),
     "procrustes-adjusted": rival(procrustes, adjusted=True),
     "sphere": rival(sphere, adjusted=False),
     "sphere-adjusted": rival(sphere, adjusted=True),
