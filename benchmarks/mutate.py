@@ -44,29 +44,15 @@ from mutations import Mutation, find_mutations
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = (
-    "geometry",
-    "pairs",
-    "rig",
-    "adjust",
-    "identities",
-    "clocks",
-    "verdict",
-    "faults",
-    "lift",
+    *("geometry", "pairs", "rig", "adjust", "identities", "clocks", "verdict", "faults", "lift"),
     "io",
 )
-COMMAND = ("cli/test_cli.py", "cli/test_cli_convert.py", "cli/test_cli_inputs.py")
-TESTS = (*PACKAGES, "recording", "synthetic", "poses", "world")
-TESTS += (
-    "compute/test_kernels.py",
-    "test_front_door.py",
-    "test_pipeline.py",
-    "test_report.py",
-    "test_types.py",
-)
-TESTS += COMMAND
+# folders of tests/, and patterns of files
+COMMAND = ("cli/test_cli*.py",)
+TESTS = (*PACKAGES, "recording", "synthetic", "poses", "world", "compute", "golden", "oracles")
+TESTS += ("test_front_door.py", "test_pipeline.py", "test_report.py", "test_types.py", *COMMAND)
 # tests of other packages that hold some modules of these, too
-BESIDE = {"geometry": ("io/test_camera_details.py",), "io": ("world/test_place.py",)}
+BESIDE = {"geometry": ("io/test_cameras.py", "oracles"), "io": ("world", "golden")}
 PRELOADED = ("cv2", "h5netcdf", "h5py", "hypothesis.extra.numpy", "numba", "pdb", "pycolmap")
 PRELOADED += ("safetensors.torch", "scipy.ndimage", "scipy.optimize", "torch", "xarray", "yaml")
 LOADED = "ignore::pytest.PytestAssertRewriteWarning"  # what pytest says of these
@@ -197,15 +183,15 @@ def learn_tests(copy: Path, names: tuple[str, ...], kept: Path, *, slow: bool) -
             learned[key] = known[key]
     if not any(learned.values()):
         raise SystemExit("expected tests that pass before anything is changed, found none")
-    otherwise = tuple(f"tests/{name}" for name in COMMAND)
+    otherwise = tuple(str(file.relative_to(copy)) for file in tests_of(copy, COMMAND))
     return Tests([found for found in learned.values() if found], otherwise)
 
 
 def tests_of(copy: Path, names: tuple[str, ...]) -> Iterator[Path]:
     """Return the files of the tests that are run."""
     for name in names:
-        path = copy / "tests" / name
-        yield from [path] if path.suffix else path.rglob("test_*.py")
+        folder = copy / "tests" / name
+        yield from folder.rglob("test_*.py") if folder.is_dir() else (copy / "tests").glob(name)
 
 
 def learn_file(copy: Path, file: Path, mark: str) -> dict:
