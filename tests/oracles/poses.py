@@ -1,14 +1,23 @@
-"""The energy of poses in dense numpy: the oracle of the kernels that fit poses."""
+"""The energy of poses in dense numpy: the oracle of the kernels that fit poses.
+
+body, seen and strengths are the records `Body`, `Detections` and `Strengths` of `poses.fit`.
+"""
 
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.fit import ROUNDS, Body, Detections, Strengths, accelerations
 
 ENTRIES = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # xx xy xz yy yz zz
+ROUNDS = 5  # of Weiszfeld's iteration
 
 
-def rows_of_rays(points: np.ndarray, seen: Detections, loss: float):
+def accelerations(points: np.ndarray, body) -> np.ndarray:
+    """Return the accelerations `[keypoint, frame - 2, 3]` by the first of their frames."""
+    ends = points.shape[1] - 2
+    return sum(body.steps[k, :ends, None] * points[:, k : k + ends] for k in range(3))
+
+
+def rows_of_rays(points: np.ndarray, seen, loss: float):
     """Yield the place, the Jacobian `[3, 3]`, the residual `[3]` and the weight of each ray."""
     for view, keypoint, frame in np.argwhere(seen.precision > 0):
         ray = seen.rays[:, view, keypoint, frame]
@@ -20,7 +29,7 @@ def rows_of_rays(points: np.ndarray, seen: Detections, loss: float):
         yield (keypoint, frame), jacobian, off, precision / (1 + off @ off * precision / loss**2)
 
 
-def rows_of_bones(points: np.ndarray, body: Body, strengths: Strengths, config: PosesConfig):
+def rows_of_bones(points: np.ndarray, body, strengths, config: PosesConfig):
     """Yield both places, the direction `[3]`, the error and the weight of each bone and frame."""
     edges = body.edges if np.isfinite(strengths.bones) else []
     for edge, (a, b) in enumerate(edges):
