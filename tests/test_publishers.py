@@ -12,7 +12,7 @@ from scenes import scene
 from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.io.cameras.own import format_calibration_toml
 from mocap_calib.io.cameras.read import read_cameras, read_rig
-from mocap_calib.io.keypoints.coco_writer import format_coco
+from mocap_calib.io.formats.coco_writer import format_coco
 from mocap_calib.io.keypoints.read import read_keypoints
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"

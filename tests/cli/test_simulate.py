@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import read_cameras, read_rig
-from mocap_calib.io.keypoints.coco_writer import format_coco
+from mocap_calib.io.formats.coco_writer import format_coco
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.synthetic import LAYOUTS, simulate
 from mocap_calib.synthetic.config import SimulateConfig

@@ -5,7 +5,7 @@
   dimensions counts.
 * Times are frames or seconds, as `time_unit` says; seconds need `fps`. We write a variable `frame`
   with the frame numbers beside.
-* A file of two dimensions in space has keypoints, which `io.keypoints.movement` reads.
+* A file of two dimensions in space has keypoints, which `io.formats.movement` reads.
 * Reading needs h5py alone; h5netcdf writes what makes HDF5 a netCDF4.
 """
 
@@ -19,8 +19,8 @@ import numpy as np
 from mocap_calib import __version__
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.document import Document
+from mocap_calib.io.formats.movement import read_variable
 from mocap_calib.io.hdf5 import array, integers, names
-from mocap_calib.io.keypoints.movement import read_variable
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,

@@ -1,7 +1,7 @@
 """NWB with ndx-pose: a PoseEstimation for each individual, a series for each keypoint.
 
 * A PoseEstimationSeries has times and no frame numbers: frames are counted from the times.
-* Series of two dimensions are keypoints, which `io.keypoints.nwb` reads.
+* Series of two dimensions are keypoints, which `io.formats.nwb` reads.
 * Values are multiplied by the attribute `conversion`.
 * Written through pynwb and ndx-pose (`pip install mocap-calib[nwb]`); read with h5py alone.
 """
@@ -15,8 +15,8 @@ import h5py
 import numpy as np
 
 from mocap_calib.io.document import Document
+from mocap_calib.io.formats.nwb import frame_numbers_and_rate
 from mocap_calib.io.hdf5 import array
-from mocap_calib.io.keypoints.nwb import frame_numbers_and_rate
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,

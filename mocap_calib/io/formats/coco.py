@@ -19,7 +19,10 @@ from mocap_calib.io.file import (
     unique_names,
     visibility_as_confidence,
 )
-from mocap_calib.io.keypoints.coco_images import Entry, frame_numbers, image_size, images_by_camera
+from mocap_calib.io.format import Format
+from mocap_calib.io.formats import coco_writer
+from mocap_calib.io.formats.coco_images import Entry, frame_numbers, image_size, images_by_camera
+from mocap_calib.io.keypoints.losses import FOLLOWED, SCORES
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
@@ -202,3 +205,15 @@ def _check_length(numbers: Any, keypoints: int, source: str) -> None:
         f"{len(numbers)} numbers" if is_list else type(numbers).__name__,
         "export it again",
     )
+
+
+ANNOTATIONS = Format(
+    kind="keypoints",
+    name="coco",
+    title="COCO annotations .json",
+    sniff=sniff,
+    read=read,
+    write=coco_writer.write,
+    endings=(".json",),
+    loses=(FOLLOWED, SCORES),
+)

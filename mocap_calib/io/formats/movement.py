@@ -21,7 +21,9 @@ from mocap_calib.io.file import (
     fill_missing_scores,
     make_view,
 )
+from mocap_calib.io.format import Format
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
+from mocap_calib.io.keypoints.losses import SCORES, SIZES
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
@@ -185,3 +187,16 @@ def _format_netcdf(view: Keypoints2D) -> bytes:
         file.create_variable("position", _MOVEMENT_AXES, data=position)
         file.create_variable("confidence", ("time", "keypoint", "individual"), data=confidence)
     return buffer.getvalue()
+
+
+KEYPOINTS = Format(
+    kind="keypoints",
+    name="movement",
+    title="movement .nc",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".nc",),
+    followed=True,
+    loses=(SIZES, SCORES),
+)

@@ -14,7 +14,10 @@ import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
-from mocap_calib.io.keypoints.deeplabcut import LEVELS, Table, keypoints_from_table
+from mocap_calib.io.format import Format
+from mocap_calib.io.formats import deeplabcut_writer
+from mocap_calib.io.formats.deeplabcut import LEVELS, Table, keypoints_from_table
+from mocap_calib.io.keypoints.losses import SCORES, SIZES
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
@@ -211,3 +214,16 @@ def _numbers(row: list[str], first: int, end: int, source: str) -> Floats:
         raise FormatError(
             source, "numbers with a decimal point", error, "write numbers like 12.5"
         ) from None
+
+
+CSV = Format(
+    kind="keypoints",
+    name="deeplabcut-csv",
+    title="DeepLabCut and Lightning Pose .csv",
+    sniff=sniff,
+    read=read,
+    write=deeplabcut_writer.write_csv,
+    endings=(".csv",),
+    followed=True,
+    loses=(SIZES, SCORES),
+)

@@ -11,6 +11,7 @@ import numpy as np
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import NO_SCORE, Origin, blank, make_view
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.matlab import read_mat
@@ -99,3 +100,12 @@ def _frames_and_positions(label: Any, source: str) -> tuple[Ints, Floats]:
     if not len(frames) or not positions.shape[1] or frames.min() < 0:
         raise FormatError(source, "labelled frames", "none", "label some first")
     return frames, positions
+
+
+KEYPOINTS = Format(
+    kind="keypoints",
+    name="label3d",
+    title="Label3D .mat",
+    sniff=sniff,
+    read=read,
+)

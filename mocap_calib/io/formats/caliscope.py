@@ -9,6 +9,7 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, argument
 from mocap_calib.io.document import Document
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints.long_table import Points, views_from_points
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.table_cells import Cells, read_cells
@@ -71,3 +72,12 @@ def _name_keypoints(
                 f"give {argument('layout')} with more names, or leave it out",
             )
     return tuple(names[number] for number in numbers)
+
+
+FORMAT = Format(
+    kind="keypoints",
+    name="caliscope",
+    title="caliscope .csv",
+    sniff=sniff,
+    read=read,
+)

@@ -23,6 +23,7 @@ from mocap_calib.io.file import (
     find_camera,
     make_view,
 )
+from mocap_calib.io.format import Format
 from mocap_calib.io.hdf5 import array, damage_refused, keys, text
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
@@ -259,3 +260,12 @@ def _are_corrected(rows: Any, by_hand: Any, start: int) -> Any:
     same_id = np.isin(rows["instance_id"], originals)
     same_index = np.isin(index, originals[originals >= 0])
     return same_track | same_id | same_index
+
+
+PROJECT = Format(
+    kind="keypoints",
+    name="sleap-slp",
+    title="SLEAP .slp",
+    sniff=sniff,
+    read=read,
+)

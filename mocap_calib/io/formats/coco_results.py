@@ -17,6 +17,7 @@ from mocap_calib.io.file import (
     stack_detections,
     visibility_as_confidence,
 )
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import (
@@ -148,3 +149,21 @@ def _frame_text(image: str, pattern: str) -> str:
         return image
     found = re.search(pattern, image)
     return str(found["frame"]) if found else image
+
+
+RESULTS = Format(
+    kind="keypoints",
+    name="coco-results",
+    title="COCO results .json",
+    sniff=sniff_coco,
+    read=read_coco,
+)
+
+
+ALPHAPOSE = Format(
+    kind="keypoints",
+    name="alphapose",
+    title="AlphaPose .json",
+    sniff=sniff_alphapose,
+    read=read_alphapose,
+)

@@ -10,6 +10,7 @@ import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints.long_table import Points, views_from_points
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.table_cells import Cells, read_cells
@@ -66,3 +67,12 @@ def _count_within_frames(frames: Sequence[str]) -> Iterator[str]:
     for frame in frames:
         yield str(rows_of_frame.get(frame, 0))
         rows_of_frame[frame] = rows_of_frame.get(frame, 0) + 1
+
+
+TABLE = Format(
+    kind="keypoints",
+    name="sleap-csv",
+    title="SLEAP analysis .csv",
+    sniff=sniff,
+    read=read,
+)

@@ -19,6 +19,7 @@ from mocap_calib.io.file import (
     fill_missing_scores,
     make_view,
 )
+from mocap_calib.io.format import Format
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
@@ -173,3 +174,12 @@ def _image_size(group: Any, source: str) -> tuple[int, int]:
         return (0, 0)
     size = array(group, "dimensions", source).reshape(-1)
     return (int(size[0]), int(size[1])) if size.size == 2 else (0, 0)
+
+
+KEYPOINTS = Format(
+    kind="keypoints",
+    name="nwb",
+    title="NWB ndx-pose .nwb",
+    sniff=sniff,
+    read=read,
+)

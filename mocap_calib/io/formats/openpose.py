@@ -14,7 +14,9 @@ import numpy as np
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import make_view, stack_detections
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.losses import FOLLOWED, NAMES, SCORES, SIZES
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import frame_numbers, frames_of, json_frames, triples
 from mocap_calib.types import Keypoints2D, Reals
@@ -138,3 +140,15 @@ def _person(positions: Reals, confidence: Reals) -> dict[str, Any]:
         return {"person_id": [-1], "pose_keypoints_2d": []}
     values = np.nan_to_num(np.column_stack([positions, confidence]))
     return {"person_id": [-1], "pose_keypoints_2d": values.ravel().tolist()}
+
+
+FORMAT = Format(
+    kind="keypoints",
+    name="openpose",
+    title="OpenPose .json, a folder per camera",
+    sniff=sniff,
+    read=read,
+    write=write,
+    per_frame=True,
+    loses=(NAMES, FOLLOWED, SIZES, SCORES),
+)

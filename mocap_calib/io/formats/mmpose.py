@@ -12,6 +12,7 @@ import numpy as np
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_FRAME, make_view, stack_detections
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import (
@@ -127,3 +128,22 @@ def _points(entry: dict[str, Any], source: str) -> Floats:
             "give 2D keypoints",
         )
     return np.column_stack([positions, scores])
+
+
+IMAGES = Format(
+    kind="keypoints",
+    name="mmpose-images",
+    title="MMPose .json of images, a folder per camera",
+    sniff=sniff_image,
+    read=read_images,
+    per_frame=True,
+)
+
+
+VIDEO = Format(
+    kind="keypoints",
+    name="mmpose",
+    title="MMPose and RTMPose .json of a video",
+    sniff=sniff_video,
+    read=read_video,
+)

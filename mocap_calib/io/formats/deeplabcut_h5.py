@@ -16,8 +16,11 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
+from mocap_calib.io.format import Format
+from mocap_calib.io.formats import deeplabcut_writer
+from mocap_calib.io.formats.deeplabcut import LEVELS, LEVELS_OF_ONE, Table, keypoints_from_table
 from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters, text
-from mocap_calib.io.keypoints.deeplabcut import LEVELS, LEVELS_OF_ONE, Table, keypoints_from_table
+from mocap_calib.io.keypoints.losses import SCORES, SIZES
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
@@ -237,3 +240,16 @@ def _check_attribute(name: str, value: Any, source: str) -> None:
         raise FormatError(source, f"plain labels in `{name}`", error, _DISTRUST) from None
     except Exception:
         return  # a damaged pickle, or none: nothing that anybody runs
+
+
+HDF5 = Format(
+    kind="keypoints",
+    name="deeplabcut-h5",
+    title="DeepLabCut .h5",
+    sniff=sniff,
+    read=read,
+    write=deeplabcut_writer.write_h5,
+    endings=(".h5",),
+    followed=True,
+    loses=(SIZES, SCORES),
+)

@@ -9,6 +9,7 @@ from typing import Any
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import make_view, stack_detections
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import is_list_of, most_keypoints, numbers_of
@@ -56,3 +57,12 @@ def _individuals(frame: Any, source: str) -> list[Floats]:
                 "export it again",
             )
     return found
+
+
+FORMAT = Format(
+    kind="keypoints",
+    name="superanimal",
+    title="DeepLabCut SuperAnimal .json",
+    sniff=sniff,
+    read=read,
+)

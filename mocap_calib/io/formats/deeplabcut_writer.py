@@ -10,7 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.io.keypoints.deeplabcut import COORDS, LEVELS, LEVELS_OF_ONE, Table
+from mocap_calib.io.formats.deeplabcut import COORDS, LEVELS, LEVELS_OF_ONE, Table
 from mocap_calib.types import Keypoints2D
 
 _SCORER = "mocap-calib"

@@ -11,7 +11,9 @@ import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints.long_table import Points, views_from_points
+from mocap_calib.io.keypoints.losses import MIXED, SCORES, SIZES
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.table_cells import Cells, read_cells
 from mocap_calib.types import Keypoints2D
@@ -122,3 +124,15 @@ def _quote(text: str) -> str:
     if any(mark in text for mark in ',"\n\r'):
         return '"' + text.replace('"', '""') + '"'
     return text
+
+
+FORMAT = Format(
+    kind="keypoints",
+    name="csv",
+    title="csv with a row per point (camera,frame,individual,keypoint,x,y,score)",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".csv",),
+    loses=(MIXED, SIZES, SCORES),
+)

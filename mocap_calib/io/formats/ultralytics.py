@@ -20,6 +20,7 @@ from mocap_calib.io.file import (
     stack_detections,
     visibility_as_confidence,
 )
+from mocap_calib.io.format import Format
 from mocap_calib.io.keypoints.layouts import LAYOUTS, layout_remedy
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.per_frame import frames_of
@@ -175,3 +176,13 @@ def _in_pixels(values: Floats, size: tuple[int, int], *, is_unscored: bool) -> F
         confidence = visibility_as_confidence(scores)
     pixels = np.where(is_missing, 0.0, positions * size)
     return np.concatenate([pixels, confidence[..., None]], axis=-1)
+
+
+FORMAT = Format(
+    kind="keypoints",
+    name="ultralytics",
+    title="Ultralytics .txt, a folder per camera",
+    sniff=sniff,
+    read=read,
+    per_frame=True,
+)

@@ -17,7 +17,9 @@ import numpy as np
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import blank, fill_missing_scores, make_view
+from mocap_calib.io.format import Format
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
+from mocap_calib.io.keypoints.losses import GAPS, SCORES, SIZES
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
@@ -202,3 +204,15 @@ def _values_from_frame_0(view: Keypoints2D) -> Floats:
     values[view.frames] = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
     values[~np.isfinite(values[..., 0])] = np.nan
     return values
+
+
+ANALYSIS = Format(
+    kind="keypoints",
+    name="sleap",
+    title="SLEAP analysis .h5",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".h5",),
+    loses=(SIZES, GAPS, SCORES),
+)

@@ -1,0 +1,1 @@
+"""The formats of files: a module a program, its records of formats at its end."""
