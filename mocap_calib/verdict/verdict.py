@@ -218,7 +218,7 @@ def _principal_points(
         if camera.name in crops:
             says, corner = crops[camera.name]
             sigma = float(np.hypot(sigma, corner))
-            meaning = f"{says}, as far as this was estimated"
+            meaning = f"its crop was estimated ({says})"
             remedy = f"undo it, or state it with {argument('crop_offset')}"
         elif not isinstance(camera, EstimatedCamera) or beside > _SAME_POINT:
             sigma = config.given_principal_point * max(camera.size)
@@ -226,7 +226,8 @@ def _principal_points(
             meaning = f"its principal point is known to {share} of the image at best"
             remedy = "calibrate its intrinsics with a board"
         turn = float(np.rad2deg(np.sqrt(2) * sigma / camera.focal))
-        yield Cause("principal point", camera.name, turn, f"{camera.name}: {meaning}", remedy)
+        meaning = f"{camera.name}: rotation +-{turn:.1f} deg, because {meaning}"
+        yield Cause("principal point", camera.name, turn, meaning, remedy)
 
 
 def _left_open(
