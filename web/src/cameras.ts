@@ -190,14 +190,14 @@ class Detail {
 }
 
 const COLUMNS: [path: Path, label: string, unit: string][] = [
-  [["rotation_sigma_deg"], "Turned by", "°"],
-  [["centre_sigma_percent"], "Shifted by", " %"],
+  [["rotation_sigma_deg"], "Rotation ±", "°"],
+  [["centre_sigma_percent"], "Centre ±", " %"],
   [["reprojection_error_px", "median"], "Error", " px"],
   [["reprojection_error_px", "p95"], "95 %", " px"],
   [["pair_score"], "Pair score", ""],
   [["detections"], "Detections", ""],
   [["matched"], "Matched", ""],
-  [["unmatched"], "Nobody", ""],
+  [["unmatched"], "Unmatched", ""],
 ];
 
 function row(recording: Recording, player: Player, camera: number, redraw: (() => void)[]): HTMLTableRowElement {
@@ -212,7 +212,7 @@ function row(recording: Recording, player: Player, camera: number, redraw: (() =
   const words = [...about.faults, ...(about.weak ? ["weak"] : [])];
   const chips = words.map((word) => {
     const mended = about.faults.includes(word) && !open.includes(word);
-    return h("span", { class: mended ? "chip good" : "chip poor" }, mended ? `${word}, mended` : word);
+    return h("span", { class: mended ? "chip good" : "chip poor" }, mended ? `${word}, corrected` : word);
   });
   const clock = run.clocks.findIndex((each) => each.camera === about.name);
   const button = h("button", { type: "button", class: "link", on: { click: () => player.choose("camera", view) } }, short(about.name, 30));

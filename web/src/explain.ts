@@ -49,7 +49,7 @@ const EXPLANATIONS: Record<string, Explanation> = {
   "cameras.*.frames": e("Frames", "Frames in which the camera has a detection.", "frames"),
   "cameras.*.detections": e("Detections", "Bodies that were detected, in all frames."),
   "cameras.*.matched": e("Matched", "Detections that have an individual: another camera confirms them."),
-  "cameras.*.unmatched": e("Unmatched", "Detections that no other camera confirms: they are nobody.", undefined, "0 to 0.13 of the detections"),
+  "cameras.*.unmatched": e("Unmatched", "Detections that no other camera confirms.", undefined, "0 to 0.13 of the detections"),
   "cameras.*.pair_score": e("Pair score", `Score of the camera's best pair. ${SCORE}`, undefined, GOOD_SCORE),
   "cameras.*.rotation_sigma_deg": e("Rotation uncertainty", TURN, "°", SETTLED),
   "cameras.*.centre_sigma_percent": e("Place uncertainty", SHIFT, "%"),

@@ -243,5 +243,5 @@ function medianError(seen: Map<number, Float32Array>, shown: Map<number, Float32
 
 function legend(): HTMLElement {
   const key = (name: string, text: string): HTMLElement => h("li", {}, h("span", { class: `key ${name}`, "aria-hidden": "true" }), text);
-  return h("ul", { class: "legend" }, key("seen", "detected"), key("shown", "3D body, reprojected"), key("error", "error between"), key("nobody", "matches nobody"));
+  return h("ul", { class: "legend" }, key("seen", "detected"), key("shown", "3D body, reprojected"), key("error", "error between"), key("nobody", "unmatched"));
 }

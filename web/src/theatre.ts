@@ -41,7 +41,7 @@ function note(recording: Recording): string {
   const lengths = run.unit === "arbitrary" ? "Lengths are arbitrary: no known length was stated." : `Lengths are in ${run.unit}.`;
   const floor = recording.floor ? "The grid is the floor." : "No floor is known, so there is no grid.";
   const left = run.left_out.length ? ` Not in the rig: ${run.left_out.join(", ")}.` : "";
-  const doubtful = run.cameras.some((camera) => camera.weak || openFaults(camera).length) ? " Red cameras are weak, or have a fault that was not mended." : "";
+  const doubtful = run.cameras.some((camera) => camera.weak || openFaults(camera).length) ? " Red cameras are weak, or have a fault that was not corrected." : "";
   const shapes = recording.covarianceKind === "axes" ? "" : " The ellipsoids are spheres: files of results say how far a camera may be off, not in which direction.";
   return `${lengths} ${floor}${doubtful}${shapes}${left}`;
 }

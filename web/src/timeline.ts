@@ -1,4 +1,4 @@
-/** Who is who: when each camera saw each individual. */
+/** Identities: when each camera saw each individual. */
 import { niceStep } from "./charts";
 import { fit, h, section, table, tick } from "./dom";
 import { explain } from "./explain";
@@ -189,12 +189,12 @@ export function timelineSection(recording: Recording, player: Player): HTMLEleme
   const few = individuals.length * cameras.length <= FEW;
   if (!tracks.length) {
     const why = individuals.length ? "The timeline needs the keypoints, and this report was made without them." : "No individual was found in two cameras.";
-    return section("who", "Who is who", why, counts(recording, true));
+    return section("who", "Identities", why, counts(recording, true));
   }
   const timeline = new Timeline(recording, player, few);
   return section(
     "who",
-    "Who is who",
+    "Identities",
     "When each individual was found: the darker, the more cameras see it. Click to go to a frame; a click on a camera's line looks through it.",
     h("div", { class: "bar" }, tick("Each camera by itself", few, (on) => {
       timeline.byCamera = on;

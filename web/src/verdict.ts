@@ -1,4 +1,4 @@
-/** The verdict in words: what it is, why, what to do next, and what was mended. */
+/** The verdict in words: what it is, why, what to do next, and what was corrected. */
 import { h, section, svg, table, type Child } from "./dom";
 import { explain } from "./explain";
 import { figure, format, term, type Path } from "./number";
@@ -9,7 +9,7 @@ const WORDS: Record<string, { tone: string; title: string; text: string }> = {
   "well determined": {
     tone: "good",
     title: "Well determined",
-    text: "You can use this calibration. The recording settles where every camera stands, and all checks passed.",
+    text: "You can use this calibration. The recording determines every camera, and all checks passed.",
   },
   usable: {
     tone: "fair",
@@ -24,7 +24,7 @@ const WORDS: Record<string, { tone: string; title: string; text: string }> = {
   "not determined": {
     tone: "bad",
     title: "Not determined",
-    text: "Do not measure with this calibration. The reasons below say what to record instead.",
+    text: "Do not measure with this calibration. The reasons below state what to record instead.",
   },
 };
 
@@ -62,8 +62,8 @@ function tiles(run: Run): HTMLElement {
   return h(
     "dl",
     { class: "tiles" },
-    tile(["verdict", "rotation_sigma_deg", "max"], "Worst camera turned by", "°", "one standard deviation"),
-    tile(["verdict", "centre_sigma_percent", "max"], "Worst camera shifted by", " %", "of the size of the rig"),
+    tile(["verdict", "rotation_sigma_deg", "max"], "Rotation uncertainty", "°", "worst camera, one standard deviation"),
+    tile(["verdict", "centre_sigma_percent", "max"], "Uncertainty of the centre", " %", "worst camera, of the size of the rig"),
     tile(["points", "reprojection_error_px", "median"], "Reprojection error", " px", "median of all points"),
     tile(["frames", "count"], "Frames", "", h("span", {}, "of two cameras or more")),
     h("div", { class: "tile" }, h("dt", {}, "Cameras"), h("dd", {}, h("span", { class: "plain" }, String(run.cameras.length)), run.left_out.length ? h("small", { class: "warn" }, `${run.left_out.length} left out`) : h("small", {}, "all in the rig"))),
@@ -80,7 +80,7 @@ function faultRow(run: Run, camera: RunCamera, word: string): HTMLElement {
     "li",
     { class: evidence.mended ? "fault mended" : "fault" },
     h("div", {}, h("strong", {}, camera.name), " ", h("span", { class: "chip" }, word), " ",
-      h("span", { class: evidence.mended ? "chip good" : "chip poor" }, evidence.mended ? "mended for this run" : "not mended")),
+      h("span", { class: evidence.mended ? "chip good" : "chip poor" }, evidence.mended ? "corrected for this run" : "not corrected")),
     h("p", { class: "why" }, says),
     typeof evidence.advice === "string" ? h("p", { class: "do" }, evidence.advice) : null,
     typeof evidence.option === "string" ? h("p", { class: "option" }, "State it beforehand: ", h("code", {}, evidence.option)) : null,
