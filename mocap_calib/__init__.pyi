@@ -20,7 +20,6 @@ if TYPE_CHECKING:  # or mypy checks the whole package as one circle
     from mocap_calib.io.keypoints.read import read_keypoints as read_keypoints
     from mocap_calib.io.poses.read import read_poses as read_poses
     from mocap_calib.pipeline import calibrate as calibrate
-    from mocap_calib.pipeline import match as match
     from mocap_calib.recording.corrections import Cropped as Cropped
     from mocap_calib.recording.corrections import Exchanged as Exchanged
     from mocap_calib.recording.corrections import Mirrored as Mirrored
@@ -37,6 +36,12 @@ if TYPE_CHECKING:  # or mypy checks the whole package as one circle
     from mocap_calib.results import Verification as Verification
     from mocap_calib.results import VerifiedCamera as VerifiedCamera
     from mocap_calib.rig.triangulate import triangulate as triangulate
+    from mocap_calib.stages import average as average
+    from mocap_calib.stages import bundle_adjust as bundle_adjust
+    from mocap_calib.stages import filter as filter
+    from mocap_calib.stages import match as match
+    from mocap_calib.stages import pairwise as pairwise
+    from mocap_calib.stages import smooth as smooth
     from mocap_calib.synthetic import Scene as Scene
     from mocap_calib.synthetic import simulate as simulate
     from mocap_calib.synthetic.config import SimulateConfig as SimulateConfig

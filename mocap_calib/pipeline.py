@@ -12,8 +12,6 @@ intrinsics. Then everything is done with them from the beginning, as if they had
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from mocap_calib.adjust.intrinsics import estimate_cameras
 from mocap_calib.adjust.refine import adjust_from_best_start
 from mocap_calib.clocks.estimate import (
@@ -28,21 +26,19 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, Refinement
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.mend import add_clocks, mend_faults
-from mocap_calib.identities import finalise_identities
-from mocap_calib.lift import RememberedLift, lift
+from mocap_calib.lift import RememberedLift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.pairs.solve import PairSolver
 from mocap_calib.poses.stage import smooth_group
 from mocap_calib.recording.names import choose_refinement
-from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.results import CalibrationResult, Clocks, GroupResult, Matches, UnusedPair
+from mocap_calib.results import CalibrationResult, Clocks, GroupResult, UnusedPair
 from mocap_calib.rig import Observed, leave_out_underconstrained
-from mocap_calib.rig.associate import associate, label_all_frames
+from mocap_calib.rig.associate import associate
 from mocap_calib.rig.averaging import average
-from mocap_calib.rig.triangulate import check_same_cameras
-from mocap_calib.rig.view_graph import calibrate_view_graph, camera_groups
+from mocap_calib.rig.view_graph import camera_groups
+from mocap_calib.stages import label, observe
 from mocap_calib.training import on_device
-from mocap_calib.types import CameraRig, Mapper, Progress, Recording, silent
+from mocap_calib.types import Mapper, Progress, Recording, silent
 from mocap_calib.verdict.verdict import conclude, judge
 from mocap_calib.world.place import check_world, place_result
 
@@ -147,23 +143,17 @@ class _Calibrator:
         return observed, self._join(groups, observed)
 
     def observe(self, recording: Recording) -> Observed:
-        """Return what is known before a rig is built: sample -> lift -> pairs."""
-        with self.clock("sample"):
-            sample_frames = choose_sample_frames(recording, self.config.sample)
-            sample = take_sample(recording, sample_frames)
-        with self.clock("lift"):
-            lifted = self.lift_sample(sample)
-        with self.clock("pairwise"):
-            pairs = calibrate_view_graph(
-                sample,
-                lifted,
-                self.config,
-                rng=np.random.default_rng(self.seed),
-                progress=self.progress,
-                mapper=self.mapper,
-                solve=self.pair_solver,
-            )
-        return Observed(recording, sample_frames, sample, lifted, pairs)
+        """Return what is known before a rig is built, see `stages.observe`."""
+        return observe(
+            recording,
+            self.lift_sample,
+            self.config,
+            seed=self.seed,
+            progress=self.progress,
+            mapper=self.mapper,
+            solve=self.pair_solver,
+            clock=self.clock,
+        )
 
     def _calibrate_group(self, observed: Observed) -> GroupResult:
         """Calibrate cameras that see the same bodies: average -> ... -> triangulate."""
@@ -178,15 +168,14 @@ class _Calibrator:
                 sample, averaged.rig, matches, config, lifted=lifted, progress=progress
             )
         with clock("match all"):
-            labelled = label_all_frames(
+            matches = label(
                 recording,
                 adjusted.rig,
+                observed.sample_frames,
+                adjusted.matches,
                 config,
-                sample_frames=observed.sample_frames,
-                matches=adjusted.matches,
                 progress=progress,
             )
-            matches = finalise_identities(recording, adjusted.rig, labelled, config)
         with clock("clocks"):
             observed, adjusted, offsets = synchronise_detections(
                 observed, adjusted, matches, config
@@ -219,34 +208,3 @@ class _Calibrator:
             seed=self.seed,
             clocks=Clocks.of_one(observed.recording),
         )
-
-
-def match(
-    recording: Recording,
-    rig: CameraRig,
-    model: str | Path | Lifter = AUTO,
-    config: Config = Config(),
-    *,
-    device: str = "cpu",
-    progress: Progress | None = None,
-) -> Matches:
-    """Label every detection with its individual, given where the cameras stand.
-
-    rig: of the recording's cameras, in their order. The other arguments are those of `calibrate`.
-
-    Raises MismatchError where rig and recording have other cameras, and what `calibrate` raises
-    of model and device.
-    """
-    check_same_cameras(recording, rig)
-    recording, lifter = choose_model(recording, model)
-    lifter = on_device(lifter, device)
-    progress = progress or silent
-    with single_threaded_libraries():
-        sample_frames = choose_sample_frames(recording, config.sample)
-        sample = take_sample(recording, sample_frames)
-        lifted = lift(sample, lifter, progress=progress)
-        matches = associate(sample, lifted, rig, config, progress=progress)
-        labelled = label_all_frames(
-            recording, rig, config, sample_frames=sample_frames, matches=matches, progress=progress
-        )
-        return finalise_identities(recording, rig, labelled, config)

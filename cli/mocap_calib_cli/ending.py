@@ -1,19 +1,106 @@
-"""How `run` and `adjust` end: a table of the cameras, and what else a person must know.
+"""How commands end: a table of the cameras, what else a person must know, the verdict, the status.
 
 What is wrong with a camera stands in its row; why it matters, and what to do, is in the reasons of
-the verdict (`verdicts.conclude`) and nowhere else.
+the verdict (`conclude`) and nowhere else.
+
+All files are written whatever the verdict is. The exit status follows from the verdict on the
+largest group of cameras: its files lie in the folder that was asked for, and scripts go on with
+them.
 """
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import click
+
 from mocap_calib.errors import count
+from mocap_calib.io.provenance import advice_on
 from mocap_calib.io.results.group import REVERSED_RIG
 from mocap_calib.types import ARBITRARY
-from mocap_calib_cli.describe_world import describe_world
-from mocap_calib_cli.screen import Table, format_number
+from mocap_calib_cli.options import Typed
+from mocap_calib_cli.screen import Line, Reporter, Table, format_number
 
 _MOST_PAIRS = 6  # that are named in a line
+_USELESS = "not determined"
+_DOUBTFUL = ("weak", _USELESS)  # what nobody may overlook
+STYLES = {
+    "well determined": "bold green",
+    "usable": "green",
+    "weak": "bold yellow",
+    _USELESS: "bold red",
+}
+_NEXT = "bold"
+_NOT_SCALED = (
+    "lengths are arbitrary: one that is known sets the scale (--height, --length, "
+    "--camera-distance; afterwards `mocap-calib scale`)"
+)
+_UNIT_OF_FILE = (
+    "lengths are arbitrary, as the file of the world does not say its unit: `mocap-calib convert "
+    "FILE NEW --input-unit m` writes it down; a known length (--height, --length, "
+    "--camera-distance) says another"
+)
+_UNMET = ("axes_unmet", "scale_unmet")
+
+
+# --- the verdict
+
+
+def check_demands(typed: Typed) -> None:
+    """Raise click's UsageError where what was typed asks for one thing and its opposite."""
+    if typed.strict and typed.accept:
+        raise click.UsageError(
+            f"--strict: expected it without --accept, found --accept {typed.accept}; "
+            "give one of them"
+        )
+
+
+def exit_status(verdict: str, typed: Typed) -> int:
+    """Return 0 where results of a verdict will do, and 1 where they will not.
+
+    verdict: one of `results.VERDICTS`.
+    """
+    if typed.strict:
+        return int(verdict in _DOUBTFUL)
+    return int(verdict == _USELESS and not typed.accept)
+
+
+def conclude(
+    reporter: Reporter,
+    verdict: str,
+    place: object,
+    typed: Typed,
+    *,
+    reasons: Sequence[str] = (),
+    counts: bool = True,
+    next_step: str = "",
+) -> None:
+    """Write the verdict with its reasons, and the one thing to do next; all that a person must see.
+
+    A doubtful verdict is a warning, which --quiet leaves with its reasons.
+
+    place: where the files are. reasons: for the verdict, of which the first is the most urgent.
+    counts: the exit status follows from this verdict. next_step: where there are no reasons.
+    """
+    line = f"{place}: rig {verdict}{advice_on(verdict)}"
+    if verdict in _DOUBTFUL:
+        line = f"mocap-calib: {line}"
+        if counts and exit_status(verdict, typed):
+            remedy = "leave out --strict" if typed.strict else "say --accept not-determined"
+            line += f"; all files are written, and the exit status is 1: {remedy} if they will do"
+        if typed.quiet:
+            reporter.warn(line, *(f"  {reason}" for reason in reasons))
+    reporter.show(Line(line, STYLES[verdict]), *explain(reasons, next_step))
+
+
+def explain(reasons: Sequence[str], next_step: str = "") -> list[Line]:
+    """Return the reasons for a verdict, a line each, the most urgent first; else the next step."""
+    if not reasons:
+        return [Line(f"next: {next_step}", _NEXT)] if next_step else []
+    return [Line(f"  {reason}", "" if place else _NEXT) for place, reason in enumerate(reasons)]
+
+
+# --- the cameras of a group
 
 
 def camera_table(report: dict[str, Any]) -> Table:
@@ -179,3 +266,50 @@ def _describe_results(report: dict[str, Any], folder: Path) -> str:
     if report["verdict"]["reversal"] == "not observable":
         line += f", the rig reversed in depth in {folder / REVERSED_RIG}"
     return line
+
+
+# --- the world
+
+
+def describe_world(world: Mapping[str, Any]) -> list[str]:
+    """Say in a line what the coordinates are, then what each known length and landmark says.
+
+    world: as `io.world_fields` has it.
+    """
+    said = [*world["remarks"], _describe_unit(world)]
+    if world["kind"] == "floor":
+        said.insert(0, "z is up, the origin is on the floor")
+    unmet = [f"not as asked for: {world[key]}" for key in _UNMET if world[key]]
+    details = [
+        *unmet,
+        *map(_describe_cue, world["cues"]),
+        *map(_describe_landmark, world["landmarks"]),
+    ]
+    return [f"world: {'; '.join(said)}", *(f"  {line}" for line in details)]
+
+
+def _describe_unit(world: Mapping[str, Any]) -> str:
+    """Return what lengths are in, and how sure that is."""
+    if world["unit"] == ARBITRARY:
+        return _UNIT_OF_FILE if world["kind"] == "file" else _NOT_SCALED
+    sigma = world["scale_sigma_percent"]
+    sure = "" if sigma is None else f", uncertain by {sigma:.1f} %, a standard deviation"
+    return f"lengths are in {world['unit']}{sure}"
+
+
+def _describe_cue(cue: Mapping[str, Any]) -> str:
+    """Return what a known length is by all of them; of a single one there is nothing to compare."""
+    if cue["residual"] is None:
+        return f"{cue['cue']}: {cue['metres']:g} m"
+    return (
+        f"{cue['cue']}: {cue['metres']:g} m, {cue['measured']:.4g} m by all cues "
+        f"({cue['residual']:+.1f} sigma)"
+    )
+
+
+def _describe_landmark(landmark: Mapping[str, Any]) -> str:
+    """Return how far a landmark is from its place."""
+    away = landmark["distance_m"]
+    if away is None:
+        return f"landmark {landmark['name']}: not used, two cameras that agree on it are needed"
+    return f"landmark {landmark['name']}: {1e3 * away:.0f} mm from its place"

@@ -3,10 +3,16 @@
 Imports numpy and the readers: commands import this module when they run, so that --help is quick.
 """
 
+import logging
+import signal
 import sys
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import replace
+from itertools import starmap
 from pathlib import Path
-from typing import cast
+from types import FrameType
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -16,117 +22,201 @@ from mocap_calib.config import (
     ASSUMED_REFINEMENT,
     Config,
     IntrinsicsConfig,
+    KnownCamera,
     MatchingConfig,
     MendConfig,
-    PairChoice,
     PosesConfig,
-    Refinement,
-    SampleConfig,
-    SmoothMode,
+    ScaleCue,
     SyncConfig,
-    SyncMode,
     ViewGraphConfig,
+    WorldConfig,
 )
-from mocap_calib.errors import MismatchError, argument, spell_as_option
+from mocap_calib.errors import ClusterError, MismatchError, argument, spell_as_option
 from mocap_calib.io.cameras.read import load_cameras, make_rig
+from mocap_calib.io.cameras.read import read_rig as read_rig_of
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.landmarks_csv import read_landmarks
 from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
 from mocap_calib.job.steps import CalibrationRequest
-from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.results import LiftedPoses, Matches
-from mocap_calib.types import CameraRig, Ints, Recording, Sample
+from mocap_calib.recording.corrections import Exchanged, Mirrored, Moved, Resized, Rotated, Sides
+from mocap_calib.results import Matches
+from mocap_calib.types import ARBITRARY, CameraRig, Ints, Recording
 from mocap_calib_cli.describe import describe_recording
-from mocap_calib_cli.options import STDIO, SharedOptions
-from mocap_calib_cli.progress import Reporter
-from mocap_calib_cli.reading import describe_reading
-from mocap_calib_cli.texts import parse_rates, read_options, stated_mends
-from mocap_calib_cli.world_texts import world_config
+from mocap_calib_cli.options import KEYPOINTS, SCALE, SHARED, STDIO, Typed
+from mocap_calib_cli.screen import Reporter
+from mocap_calib_cli.values import WORLD
+
+if TYPE_CHECKING:
+    from mocap_calib.compute.cluster import Cluster
+    from mocap_calib.compute.parallel import Processes
 
 # --- keypoints and recordings
 
+# kept in run.json, so that a report can read the keypoints again
+_KEPT = (*KEYPOINTS, "skeleton", "model")
+_OF_INTRINSICS = ("rotated", "resized", "exchanged")  # the cameras of results have these already
 
-def keypoint_source(options: SharedOptions) -> KeypointSource:
-    """Return which keypoints are read, and how. Raises MismatchError and click's BadParameter."""
-    return KeypointSource(
-        paths=options.keypoints,
-        format=options.format,
-        options=read_options(options),
-        aliases=options.skeleton,
-        model=options.model,
-        mends=stated_mends(options),
+
+def read_options(typed: Typed) -> ReadOptions:
+    """Return how keypoint files are read."""
+    sizes = dict(typed.image_size)
+    return ReadOptions(
+        layout=typed.layout or (),
+        image_size=sizes.pop("", (0, 0)),
+        image_sizes=sizes,
+        camera_pattern=typed.camera_regex or "",
+        frame_offset=dict(typed.frame_offset),
+        crop_offset=dict(typed.crop_offset),
+        views=typed.views or (),
     )
 
 
-def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequest:
+def keypoint_source(typed: Typed) -> KeypointSource:
+    """Return which keypoints are read, and how.
+
+    Images are turned before they are resized, and a camera that moved is split in the end.
+    """
+    return KeypointSource(
+        paths=typed.keypoints,
+        format=typed.format,
+        options=read_options(typed),
+        aliases=typed.skeleton,
+        model=typed.model,
+        mends=(
+            *starmap(Exchanged, typed.exchanged),
+            *map(Mirrored, typed.mirrored),
+            *map(Sides, typed.sides),
+            *starmap(Rotated, dict(typed.rotated).items()),
+            *starmap(Resized, dict(typed.resized).items()),
+            *starmap(Moved, typed.moved),
+        ),
+    )
+
+
+def describe_reading(typed: Typed) -> dict[str, Any]:
+    """Return the texts that say how keypoints are read, for run.json."""
+    return {
+        name: texts if _is_list(name) else texts[0]
+        for name, texts in typed.texts.items()
+        if name in _KEPT
+    }
+
+
+def options_of_reading(reading: Mapping[str, Any], typed: Typed) -> Typed:
+    """Return the options with which a run read its keypoints; those typed now count more.
+
+    reading: as run.json has it. What no option can be is left out.
+    """
+    context = click.get_current_context()
+    found = {}
+    for name in _KEPT:
+        value = reading.get(name)
+        if name in typed.texts:
+            found[name] = getattr(typed, name)
+        elif isinstance(value, list if _is_list(name) else str) and name not in _OF_INTRINSICS:
+            texts = tuple(map(str, value)) if isinstance(value, list) else value
+            found[name] = SHARED[name].process_value(context, texts)
+    return Typed(found)
+
+
+def _is_list(name: str) -> bool:
+    """Return whether an option has several values."""
+    return SHARED[name].multiple or SHARED[name].nargs != 1
+
+
+def calibration_request(typed: Typed, output: Path) -> CalibrationRequest:
     """Return what is asked for, with the cameras of stdin where those are meant.
 
     Raises click's UsageError, also for further formats that could not be written in the end.
     """
-    world = world_config(options)
+    world = world_config(typed)
+    fps = typed.fps.get("")
     try:
-        fps, _ = parse_rates(options.fps)
-        check_formats(options.write, fps, world.stated_unit)
+        check_formats(typed.write, fps, world.stated_unit)
     except MismatchError as error:
         raise click.UsageError(error.render(spell_as_option)) from None
-    intrinsics = intrinsics_config(options)
     return CalibrationRequest(
-        keypoints=keypoint_source(options),
-        cameras=_intrinsics_source(options.cameras),
+        keypoints=keypoint_source(typed),
+        cameras=_intrinsics_source(typed.cameras),
         output=output,
-        pair_solver=options.solver,
-        seed=options.seed,
-        device=options.device,
+        pair_solver=typed.solver,
+        seed=typed.seed,
+        device=typed.device,
         config=Config(
-            view_graph=view_graph_config(options),
-            intrinsics=intrinsics,
-            matching=MatchingConfig(individuals=options.individuals),
-            mend=MendConfig(apply=options.mend != "none"),
-            sync=sync_config(options),
+            view_graph=ViewGraphConfig(pairs=typed.pairs),
+            intrinsics=_intrinsics_config(typed),
+            matching=MatchingConfig(individuals=typed.individuals),
+            mend=MendConfig(apply=typed.mend != "none"),
+            sync=sync_config(typed),
             world=world,
-            poses=PosesConfig(smooth=cast(SmoothMode, options.smooth)),
+            poses=PosesConfig(smooth=typed.smooth),
         ),
-        formats=options.write,
+        formats=typed.write,
         fps=fps,
-        report=options.report,
-        reading=describe_reading(options),
+        report=typed.report,
+        reading=describe_reading(typed),
     )
 
 
-def view_graph_config(options: SharedOptions) -> ViewGraphConfig:
-    """Return which pairs of cameras are calibrated."""
-    return ViewGraphConfig(pairs=cast(PairChoice, options.pairs))
+def sync_config(typed: Typed) -> SyncConfig:
+    """Return what is done about clocks that differ."""
+    rates = dict(typed.fps)
+    of_all = rates.pop("", 0.0)
+    ratios = tuple((camera, rate / of_all) for camera, rate in rates.items())
+    return SyncConfig(mode=typed.sync, window=typed.sync_window, rates=ratios)
 
 
-def sync_config(options: SharedOptions) -> SyncConfig:
-    """Return what is done about clocks that differ. Raises click's BadParameter."""
-    of_all, single = parse_rates(options.fps)
-    rates = tuple((camera, rate / (of_all or rate)) for camera, rate in single.items())
-    mode = cast(SyncMode, options.sync)
-    return SyncConfig(mode=mode, window=options.sync_window, rates=rates)
-
-
-def intrinsics_config(options: SharedOptions) -> IntrinsicsConfig:
+def _intrinsics_config(typed: Typed) -> IntrinsicsConfig:
     """Return which intrinsics are estimated. Raises click's UsageError."""
-    refine = options.refine or ("none" if options.cameras else ASSUMED_REFINEMENT)
-    if refine == "none" and not options.cameras:
+    refine = typed.refine or ("none" if typed.cameras else ASSUMED_REFINEMENT)
+    if refine == "none" and not typed.cameras:
         raise click.UsageError(
             "--refine none: expected intrinsics that stay as they are, found none; "
             "give --cameras, or leave it out"
         )
-    if refine == "none" and (options.focal_uncertainty or options.focal_per_camera):
-        option = "--focal-uncertainty" if options.focal_uncertainty else "--focal-per-camera"
+    if refine == "none" and (typed.focal_uncertainty or typed.focal_per_camera):
+        option = "--focal-uncertainty" if typed.focal_uncertainty else "--focal-per-camera"
         raise click.UsageError(
             f"{option}: expected focal lengths that are estimated, found none; say --refine focal"
         )
-    default = IntrinsicsConfig()
     return IntrinsicsConfig(
-        refine=cast(Refinement, refine),
-        focal_uncertainty=options.focal_uncertainty or default.focal_uncertainty,
-        focal_per_camera=options.focal_per_camera,
+        refine=refine,
+        focal_uncertainty=typed.focal_uncertainty or IntrinsicsConfig.focal_uncertainty,
+        focal_per_camera=typed.focal_per_camera,
     )
+
+
+def scale_cues(typed: Typed) -> tuple[ScaleCue, ...]:
+    """Return the lengths that are known."""
+    return tuple(cue for name in SCALE for cue in getattr(typed, name))
+
+
+def world_config(typed: Typed) -> WorldConfig:
+    """Return the coordinates that are asked for. Raises FormatError and click's UsageError."""
+    if typed.align and typed.world != WorldConfig.axes:
+        raise click.UsageError(
+            f"--align: expected the world of the landmarks alone, found --world {typed.world} "
+            "too; leave one out"
+        )
+    config = WorldConfig(
+        axes=typed.world,
+        cues=scale_cues(typed),
+        forward=typed.forward,
+        landmarks=read_landmarks(typed.align) if typed.align else (),
+        unit=ARBITRARY,
+    )
+    if not WORLD.is_file(Path(typed.world)):
+        return config
+    rig = read_rig_of(Path(typed.world))
+    cameras = tuple(
+        KnownCamera(camera.name, tuple(camera.rotation.ravel()), tuple(camera.translation))
+        for camera in rig
+    )
+    return replace(config, axes=WorldConfig.axes, cameras=cameras, unit=rig.unit)
 
 
 def _intrinsics_source(cameras: str) -> Path | bytes | None:
@@ -137,7 +227,7 @@ def _intrinsics_source(cameras: str) -> Path | bytes | None:
 
 
 def read_recording(
-    options: SharedOptions, cameras: CameraFile, reporter: Reporter, *, of_rig: bool = False
+    typed: Typed, cameras: CameraFile, reporter: Reporter, *, of_rig: bool = False
 ) -> LoadedRecording:
     """Read the keypoints of the cameras, and say which file went to which camera.
 
@@ -146,14 +236,12 @@ def read_recording(
 
     Raises FormatError and MismatchError.
     """
-    loaded = load_recording(keypoint_source(options), cameras, only_known_cameras=of_rig)
+    loaded = load_recording(keypoint_source(typed), cameras, only_known_cameras=of_rig)
     reporter.say(*describe_recording(loaded.summary))
     return loaded
 
 
-def read_recording_of_rig(
-    options: SharedOptions, reporter: Reporter
-) -> tuple[CameraRig, LoadedRecording]:
+def read_recording_of_rig(typed: Typed, reporter: Reporter) -> tuple[CameraRig, LoadedRecording]:
     """Read a rig and the keypoints of its cameras; the rig has those with keypoints alone.
 
     They are put on one clock, where the rig says that those of its cameras differ. Where a camera
@@ -161,14 +249,14 @@ def read_recording_of_rig(
 
     Raises FormatError and MismatchError.
     """
-    given, file = read_rig(options.rig, "--rig")
-    rig, loaded = read_recording_of(given, file, options, reporter)
+    given, file = read_rig(typed.rig, "--rig")
+    rig, loaded = read_recording_of(given, file, typed, reporter)
     held = _frames_of_rig(loaded.recording, file, reporter)
     return rig, replace(loaded, recording=loaded.recording.select(frames=held))
 
 
 def read_matched_recording(
-    options: SharedOptions, reporter: Reporter
+    typed: Typed, reporter: Reporter
 ) -> tuple[CameraRig, LoadedRecording, Matches, list[int] | None]:
     """Read a rig, the keypoints of its cameras, and identities; see `read_recording_of_rig`.
 
@@ -176,25 +264,27 @@ def read_matched_recording(
 
     Raises FormatError and MismatchError.
     """
-    given, file = read_rig(options.rig, "--rig")
-    rig, loaded = read_recording_of(given, file, options, reporter)
-    matches = read_matches(options.matches, loaded)
+    given, file = read_rig(typed.rig, "--rig")
+    rig, loaded = read_recording_of(given, file, typed, reporter)
+    source = read_stdin("--matches") if typed.matches == STDIO else Path(typed.matches)
+    matches = read_matches_csv(source, loaded.recording, loaded.clocks)
     held = _frames_of_rig(loaded.recording, file, reporter)
     part = replace(loaded, recording=loaded.recording.select(frames=held))
     return rig, part, matches.select(frames=held), file.judgement.get("frames")
 
 
 def read_recording_of(
-    rig: CameraRig, camera_file: CameraFile, options: SharedOptions, reporter: Reporter
+    rig: CameraRig, camera_file: CameraFile, typed: Typed, reporter: Reporter
 ) -> tuple[CameraRig, LoadedRecording]:
     """Read the keypoints of a rig, on one clock, in all frames.
 
     camera_file: all that the file of the rig says.
     """
-    loaded = read_recording(options, camera_file, reporter, of_rig=True)
-    rig = _rig_of_recording(rig, loaded.recording)
-    clocks = clocks_from(loaded.recording, rig.clocks)
-    return rig, replace(loaded, recording=retime(loaded.recording, clocks), clocks=clocks)
+    loaded = read_recording(typed, camera_file, reporter, of_rig=True)
+    recording = loaded.recording
+    rig = replace(rig.select(recording.names), cameras=recording.cameras)
+    clocks = clocks_from(recording, rig.clocks)
+    return rig, replace(loaded, recording=retime(recording, clocks), clocks=clocks)
 
 
 def _frames_of_rig(recording: Recording, file: CameraFile, reporter: Reporter) -> Ints:
@@ -216,35 +306,7 @@ def _frames_of_rig(recording: Recording, file: CameraFile, reporter: Reporter) -
     return held
 
 
-def lift_sample(
-    loaded: LoadedRecording, device: str, reporter: Reporter, *, pair_solver: str = "search"
-) -> tuple[Ints, Sample, LiftedPoses]:
-    """Return the `[frame]` indices that calibration looks at, their detections, and those lifted.
-
-    pair_solver: what will calibrate the pairs, see `lift.lifter.load_model`.
-
-    Raises MismatchError where there is no such device.
-    """
-    sample_frames = choose_sample_frames(loaded.recording, SampleConfig())
-    sample = take_sample(loaded.recording, sample_frames)
-    model = loaded.recording.model
-    lifted = lift_with_model(sample, model, device, reporter, pair_solver=pair_solver)
-    return sample_frames, sample, lifted
-
-
-def lift_with_model(
-    sample: Sample, model: str, device: str, reporter: Reporter, *, pair_solver: str = "search"
-) -> LiftedPoses:
-    """Lift the detections of a sample. Raises MismatchError where there is no such device."""
-    from mocap_calib.lift import lift
-    from mocap_calib.lift.lifter import load_model
-    from mocap_calib.training import on_device
-
-    lifter = on_device(load_model(model, pair_solver=pair_solver), device)
-    return lift(sample, lifter, progress=reporter)
-
-
-# --- cameras and matches
+# --- cameras, and stdin
 
 
 def load_camera_file(path: str, option: str) -> CameraFile:
@@ -261,23 +323,6 @@ def read_rig(path: str, option: str) -> tuple[CameraRig, CameraFile]:
     """
     found = load_camera_file(path, option)
     return make_rig(found, "stdin" if path == STDIO else path), found
-
-
-def read_matches(path: str, loaded: LoadedRecording) -> Matches:
-    """Return the matches in a file or on stdin. Raises FormatError and MismatchError.
-
-    loaded: on the clock of its rig.
-    """
-    source = read_stdin("--matches") if path == STDIO else Path(path)
-    return read_matches_csv(source, loaded.recording, loaded.clocks)
-
-
-def _rig_of_recording(rig: CameraRig, recording: Recording) -> CameraRig:
-    """Return the rig with the cameras of the recording alone, in their order."""
-    return replace(rig.select(recording.names), cameras=recording.cameras)
-
-
-# --- stdin
 
 
 def read_text(path: str, what: str) -> str:
@@ -297,3 +342,54 @@ def read_stdin(what: str) -> str:
         )
     meta["stdin"] = what
     return decode(sys.stdin.buffer.read(), "stdin")
+
+
+# --- who does the work
+
+
+@contextmanager
+def open_workers(
+    reporter: Reporter, *, scheduler: str | None = None, processes: int = 1
+) -> "Iterator[Cluster | Processes | None]":
+    """Start the workers of a scheduler, or so many processes, and end them with the block.
+
+    None where the work is done in this process. Batch systems end a job with SIGTERM: from here
+    on the program removes what is half written when it comes.
+
+    scheduler: address of a Dask scheduler, instead of processes.
+
+    Raises ClusterError where there are no such workers.
+    """
+    signal.signal(signal.SIGTERM, _exit_on_signal)
+    if scheduler is None and processes == 1:
+        yield None
+        return
+    from mocap_calib.compute import parallel
+
+    given = _connect(scheduler) if scheduler else closing(parallel.Processes(processes))
+    with given as workers:
+        place = f" by the workers of {scheduler}" if scheduler else ""
+        reporter.say(f"{workers.threads} at a time{place}")
+        yield workers
+
+
+def _connect(scheduler: str) -> "AbstractContextManager[Cluster]":
+    """Return the workers of a scheduler; the package for it is an extra."""
+    try:
+        from mocap_calib.compute import cluster
+    except ModuleNotFoundError as error:
+        raise ClusterError(
+            argument("scheduler"),
+            f"the package {error.name}",
+            "none",
+            "pip install 'mocap-calib[distributed]'",
+        ) from None
+    # what it has to say comes as an error, in one line; its import has set these levels itself
+    for logger in ("distributed", "distributed.client"):
+        logging.getLogger(logger).setLevel(logging.CRITICAL)
+    return cluster.cluster(scheduler)
+
+
+def _exit_on_signal(number: int, _: FrameType | None) -> None:
+    """End the program in order, with the status that shells give a signal."""
+    sys.exit(128 + number)

@@ -1,33 +1,38 @@
-"""Options from a file, and options to a file: `--config` and `--save-config`.
+"""Files of options (`recording.yaml`): `--config` reads one, `--save-config` writes one.
+
+    keypoints: keypoints
+    cameras: intrinsics.toml
+    frame-offset:
+      - cam1:-3
+      - cam2:5
 
 The names in a file, which values are right, and which of them are paths follow from click's own
-parameters of the command: an option that is added to it can stand in a file at once.
+parameters of the command: an option that is added to it can stand in a file at once. A value is the
+text that stands there, as the command line would have it: YAML makes a number of the camera and the
+frame `1:30`, and a truth value of a camera called `on`. So nodes are composed, which know their
+lines, and no values are constructed.
 """
 
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
-from mocap_calib.errors import one_line
+from mocap_calib.errors import FormatError, MismatchError, suggest
 from mocap_calib_cli import values
 from mocap_calib_cli.options import STDIO
 
 if TYPE_CHECKING:
-    from mocap_calib.io.option_file import Entry
-
-Command = TypeVar("Command", bound=Callable[..., Any])
+    from yaml import Node
 
 USUAL_NAME = "recording.yaml"
-_OF_FILES = ("config", "save_config", "help")  # these cannot stand in a file
-_META = "entries of --config"
-_GIVEN = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, ParameterSource.DEFAULT_MAP)
+_MOST_CHARACTERS = 100_000  # PyYAML reads them in a tenth of a second; options take a few thousand
+_NOTHING = ("", "~", "null", "Null", "NULL")  # as YAML writes that there is no value
+_PLAIN = re.compile(r"[\w./]([\w./:+=,-]*[\w./+=,-])?")  # texts that need no quotes
 _HEAD = """\
 # Options of `mocap-calib {command}`: run it again with --config {name}
 # Paths are relative to this file. docs/recording-yaml.md has the rest.
@@ -38,71 +43,52 @@ _OTHERS = """
 """
 
 
-class ConfigurableCommand(click.Command):
-    """A command whose options may stand in a file: what is wrong with them names its line."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command. Raises FormatError for a value of the file that it refuses."""
-        with naming_lines(ctx.meta.get(_META, {}), ctx):
-            return super().invoke(ctx)
-
-
-def option_files(command: Command) -> Command:
-    """Add `--config` and `--save-config`, whose file the command gets as `save_config`."""
-    save = click.option(
-        "--save-config",
-        type=click.Path(path_type=Path),
-        metavar="FILE",
-        help="Write all options that were given to a file for --config, with the others as "
-        "comments.",
-    )
-    config = click.option(
-        "--config",
-        type=click.Path(path_type=Path),
-        metavar="FILE.yaml",
-        is_eager=True,
-        expose_value=False,
-        callback=_use_file,
-        help=f"Read options from a file, usually {USUAL_NAME} (docs/recording-yaml.md); those of "
-        "the command line win.",
-    )
-    return config(save(command))
-
-
 def _use_file(context: click.Context, _: click.Parameter, path: Path | None) -> None:
     """Let what a file says take the place of defaults. Raises FormatError."""
-    if path is None or context.resilient_parsing:
-        return
-    found = read_values(path, context)
-    context.default_map = {**(context.default_map or {}), **found.values}
-    context.meta[_META] = found.entries
+    if path is not None and not context.resilient_parsing:
+        context.default_map = {**(context.default_map or {}), **read_file(path, context)[1]}
+
+
+CONFIG = click.Option(
+    ["--config"],
+    type=values.FILE,
+    metavar="FILE.yaml",
+    is_eager=True,
+    expose_value=False,
+    callback=_use_file,
+    help=f"Read options from a file, usually {USUAL_NAME} (docs/recording-yaml.md); those of "
+    "the command line win.",
+)
+SAVE_CONFIG = click.Option(
+    ["--save-config"],
+    type=values.FILE,
+    metavar="FILE",
+    help="Write all options that were given to a file for --config, with the others as comments.",
+)
 
 
 # --- reading
 
 
-class FileValues:
-    """What a file says: values, by the names of parameters, and entries, by those of options."""
-
-    def __init__(self, values: dict[str, Any], entries: "dict[str, Entry]") -> None:
-        self.values = values
-        self.entries = entries
-
-
-def read_values(path: Path, context: click.Context) -> FileValues:
-    """Return what a file says of the options of the command of a context. Raises FormatError.
+def read_file(path: Path, context: click.Context) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what a file says of the parameters of a command: values and texts, by their names.
 
     Paths in it are relative to its folder.
-    """
-    from mocap_calib.io.option_file import read_option_file
 
-    params = params_by_key(context.command)
-    entries = read_option_file(path, params)
-    found = {
-        str(params[key].name): _read_value(params[key], key, entry, context, path.parent)
-        for key, entry in entries.items()
-    }
-    return FileValues(found, entries)
+    Raises FormatError, with the line, for what is not YAML, for names of no option, for a name that
+    comes twice, and for values that the option does not take.
+    """
+    found, texts = {}, {}
+    for key, param, nodes in _entries(path, params_by_key(context.command)):
+        given = tuple(_resolve(param.type, node.value, path.parent) for node in nodes)
+        name = str(param.name)
+        texts[name] = given if _is_list(param) else given[0]
+        try:
+            found[name] = param.process_value(context, texts[name])
+        except (click.BadParameter, MismatchError) as error:
+            wrong = next((each for each in nodes if _refuses(param, each, context)), nodes[0])
+            raise _refusal(path, wrong, *_explain(param, wrong, error), key=key) from None
+    return found, texts
 
 
 def params_by_key(command: click.Command) -> dict[str, click.Parameter]:
@@ -114,67 +100,121 @@ def params_by_key(command: click.Command) -> dict[str, click.Parameter]:
     return {
         max(param.opts, key=len).removeprefix("--"): param
         for param in params
-        if param.name not in _OF_FILES
+        if param not in (CONFIG, SAVE_CONFIG)
     }
 
 
-@contextmanager
-def naming_lines(entries: "Mapping[str, Entry]", context: click.Context) -> Iterator[None]:
-    """Raise FormatError, with the line, where the block refuses a value that the file gave.
+def _entries(
+    path: Path, params: Mapping[str, click.Parameter]
+) -> "Iterator[tuple[str, click.Parameter, list[Node]]]":
+    """Yield name, parameter and values of each option in a file. Raises FormatError."""
+    import yaml
 
-    context: knows which values were typed instead.
-    """
+    seen: set[str] = set()
+    for key, value in _pairs(path):
+        if not isinstance(key, yaml.ScalarNode) or key.value not in params:
+            name = _kind(key)
+            remedy = suggest(name, params)
+            raise _refusal(path, key, "the name of an option", name, remedy)
+        name, param = key.value, params[key.value]
+        if name in seen:
+            remedy = "leave one out, or write the values as a list"
+            raise _refusal(path, key, "each option once", f"{name} twice", remedy)
+        seen.add(name)
+        listed = isinstance(value, yaml.SequenceNode)
+        nodes = value.value if listed else [value]
+        if not nodes:
+            raise _no_value(path, name, value)
+        for node in nodes:
+            if not isinstance(node, yaml.ScalarNode):
+                expected = f"a value for {name}, or a list of values"
+                remedy = "write cam1:5 without a blank after the colon, as on the command line"
+                raise _refusal(path, node, expected, _kind(node), remedy)
+            if node.style is None and node.value in _NOTHING:
+                raise _no_value(path, name, node)
+        if listed and not _is_list(param):
+            raise _refusal(path, nodes[0], "one value", f"a list of {len(nodes)}", key=name)
+        yield name, param, nodes
+
+
+def _pairs(path: Path) -> "list[tuple[Node, Node]]":
+    """Return the keys and values of the mapping in a file. Raises FormatError."""
+    import yaml
+
+    from mocap_calib.io.file import decode, read_bytes
+
+    text = decode(read_bytes(path), str(path))
+    if len(text) > _MOST_CHARACTERS:
+        expected = f"a file of options, below {_MOST_CHARACTERS // 1000} kB"
+        raise FormatError(path, expected, f"{len(text) // 1000} kB", "give the options alone")
     try:
-        yield
-    except click.BadParameter as error:
-        hint = error.param_hint if isinstance(error.param_hint, str) else ""
-        key = hint.removeprefix("--")
-        entry = entries.get(key)
-        if entry is None or is_typed(str(params_by_key(context.command)[key].name), context):
-            raise
-        raise _refusal(key, entry, error.message) from None
+        node = yaml.compose(text, yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f"{path}:{mark.line + 1}" if mark else path
+        raise FormatError(place, "YAML", error.problem or error, "correct that line") from None
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise FormatError(path, "YAML", f"an error ({error})", "correct the file") from None
+    if node is None:
+        return []
+    if not isinstance(node, yaml.MappingNode):
+        raise _refusal(path, node, "lines `option: value`", _kind(node), "correct the file")
+    return node.value
 
 
-def is_typed(name: str, context: click.Context) -> bool:
-    """Return whether the command line gives a parameter, which wins over files."""
-    return context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+def _is_list(param: click.Parameter) -> bool:
+    """Return whether a parameter may have several values."""
+    return param.multiple or param.nargs != 1
 
 
-def _read_value(
-    param: click.Parameter, key: str, entry: "Entry", context: click.Context, folder: Path
-) -> Any:
-    """Return the value of a parameter. Raises FormatError."""
-    several = param.multiple or param.nargs != 1
-    if entry.is_list and not several:
-        raise _refusal(key, entry, f"expected one value, found a list of {len(entry.texts)}")
-    texts = [_resolve(param.type, text, folder) for text in entry.texts]
-    for text, given in zip(texts, entry.texts, strict=True):
-        try:
-            param.type.convert(text, param, context)
-        except click.BadParameter as error:
-            raise _refusal(key, entry, _explain(param.type, given, error), given) from None
-    return param.type_cast_value(context, texts if several else texts[0])
+def _refuses(param: click.Parameter, node: "Node", context: click.Context) -> bool:
+    """Return whether a parameter does not take a value."""
+    try:
+        param.type.convert(node.value, param, context)
+    except (click.BadParameter, MismatchError):
+        return True
+    return False
 
 
-def _refusal(key: str, entry: "Entry", message: str, text: str = "") -> Exception:
-    """Return the complaint about a value, with its line. text: of the value, where it is known."""
-    from mocap_calib.errors import FormatError
+def _refusal(
+    path: Path,
+    node: "Node",
+    expected: str,
+    found: str,
+    remedy: str = "correct that line",
+    *,
+    key: str = "",
+) -> FormatError:
+    """Return the complaint about a place in a file, with its line. key: the name of the option."""
+    place = f"{path}:{node.start_mark.line + 1}"
+    return FormatError(f"{place}: {key}" if key else place, expected, found, remedy)
 
-    found = text or next((each for each in entry.texts if message.endswith(each)), "")
-    said = re.fullmatch(r"(?:expected )?(.*?)(?:, found (.*?))?(?:; (.*))?", message, re.DOTALL)
-    expected, came, remedy = said.groups() if said else (message, None, None)
-    return FormatError(
-        f"{entry.place(found)}: {key}", expected, came or found, remedy or "correct that line"
-    )
+
+def _no_value(path: Path, name: str, node: "Node") -> FormatError:
+    """Return the complaint about an option without a value."""
+    return _refusal(path, node, f"a value for {name}", "none", "give one, or remove the line")
 
 
-def _explain(kind: click.ParamType[Any], text: str, error: click.BadParameter) -> str:
-    """Return what was expected and what came, where click's own types say it in other words."""
-    if isinstance(kind, click.Choice):
-        return f"expected one of {', '.join(map(str, kind.choices))}, found {text}"
-    if isinstance(kind, type(click.BOOL)):
-        return f"expected true or false, found {text}"
-    return one_line(error.message, width=300)
+def _explain(param: click.Parameter, node: "Node", error: Exception) -> tuple[str, str, str]:
+    """Return what was expected, what came and what to do, of a value that a parameter refuses."""
+    remedy = "correct that line"
+    if isinstance(error, MismatchError):
+        return error.expected, error.found, error.remedy
+    if isinstance(param.type, click.Choice):
+        return f"one of {', '.join(map(str, param.type.choices))}", node.value, remedy
+    if isinstance(param.type, type(click.BOOL)):
+        return "true or false", node.value, remedy
+    expected, _, found = str(error).removeprefix("expected ").partition(", found ")
+    return expected, found or node.value, remedy
+
+
+def _kind(node: "Node") -> str:
+    """Return what a node is, in words."""
+    import yaml
+
+    if isinstance(node, yaml.ScalarNode):
+        return node.value or "nothing"
+    return "a list" if isinstance(node, yaml.SequenceNode) else "a mapping"
 
 
 # --- paths
@@ -222,46 +262,46 @@ def save_options(context: click.Context, path: Path) -> None:
 
     Raises MismatchError where there is a file already that says something else.
     """
-    from mocap_calib.errors import MismatchError
     from mocap_calib.io.atomic import write_bytes
-
-    text = format_options(context, path)
-    if path.is_file() and path.read_bytes() != text.encode():
-        raise MismatchError(
-            path, "a new file", "one that says something else", "remove it or choose another name"
-        )
-    write_bytes(path, text.encode())
-
-
-def format_options(context: click.Context, path: Path) -> str:
-    """Return the text of a file of the options that were given; the others are comments."""
-    from mocap_calib.io.option_file import format_option
 
     given, others = [], []
     for key, param in params_by_key(context.command).items():
-        texts = _list_texts(context.params[str(param.name)])
-        if texts and context.get_parameter_source(str(param.name)) in _GIVEN:
-            related = [_relate(param.type, text, path.parent) for text in texts]
-            given.append(format_option(key, related))
+        texts = context.meta["texts"].get(param.name)
+        if texts:
+            given.append(_format(key, [_relate(param.type, text, path.parent) for text in texts]))
         else:
-            others.append(_describe(param, key, texts, context))
+            others.append(_describe(param, key, context))
     head = _HEAD.format(command=context.info_name, name=path.name)
-    return "".join([head, *given, _OTHERS, *others])
+    content = "".join([head, *given, _OTHERS, *others]).encode()
+    if path.is_file() and path.read_bytes() != content:
+        raise MismatchError(
+            path, "a new file", "one that says something else", "remove it or choose another name"
+        )
+    write_bytes(path, content)
 
 
-def _list_texts(value: Any) -> list[str]:
-    """Return the values of a parameter as the command line has them."""
-    if isinstance(value, bool):
-        return [str(value).lower()]
-    if isinstance(value, tuple):
-        return [str(each) for each in value]
-    return [] if value is None or value == "" else [str(value)]
+def _format(key: str, texts: Iterable[str]) -> str:
+    """Return the lines that give an option these values."""
+    quoted = list(map(_quote, texts))
+    if len(quoted) == 1:
+        return f"{key}: {quoted[0]}\n"
+    return "".join([f"{key}:\n", *(f"  - {text}\n" for text in quoted)])
 
 
-def _describe(
-    param: click.Parameter, key: str, default: Iterable[str], context: click.Context
-) -> str:
+def _quote(text: str) -> str:
+    """Return a text as YAML has it: as it is where that can be read again, else in quotes."""
+    import yaml
+
+    if _PLAIN.fullmatch(text) and text not in _NOTHING:
+        return text
+    return yaml.dump(text, default_style='"', allow_unicode=True, width=10**6).strip()
+
+
+def _describe(param: click.Parameter, key: str, context: click.Context) -> str:
     """Return what an option is and its default, as comments."""
     about = fill(str(getattr(param, "help", "")), 92, break_long_words=False)
-    value = " ".join(default) or f"({param.make_metavar(context)})"
+    default = param.get_default(context)
+    known = isinstance(default, str | int) and default != ""
+    value = str(default) if known else f"({param.make_metavar(context)})"
+    value = value.lower() if isinstance(default, bool) else value
     return "".join(f"# {line}\n" for line in about.splitlines()) + f"# {key}: {value}\n\n"

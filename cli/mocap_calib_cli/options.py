@@ -1,16 +1,15 @@
-"""The options that several commands share, each said once.
+"""Commands and the options that several of them share, each written once.
 
-`@shared_options("cameras", "seed", ...)` adds options to a command and hands it one record,
-`SharedOptions`, of what was typed. Options of a single command stand in its own module.
+`@command("match", output_text("matches"), "rig", *KEYPOINTS)` makes a command of a function, with
+these parameters in this order: names of shared options, or parameters of click that are its own.
+The function gets one record, `Typed`: the values under the names that they have in Python.
 """
 
-import functools
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from mocap_calib.config import (
     MENDING,
@@ -25,275 +24,309 @@ from mocap_calib.config import (
     WorldConfig,
 )
 from mocap_calib_cli import values
-from mocap_calib_cli.file_options import FILE_OPTIONS
-from mocap_calib_cli.numbers import COUNT, PERCENTAGE, SEED
-from mocap_calib_cli.result_options import RESULT_OPTIONS
-from mocap_calib_cli.world_options import WORLD_OPTIONS
-
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 STDIO = "-"
 
 # how keypoint files are to be read where they do not say it themselves, and what is wrong there
-READING = tuple(name for name in FILE_OPTIONS if name not in ("moved", "mend"))
+READING = (
+    *("format", "layout", "image_size", "camera_regex", "frame_offset", "crop_offset", "views"),
+    *("mirrored", "sides", "rotated", "resized", "exchanged"),
+)
 KEYPOINTS = ("keypoints", *READING)
 MODEL = ("skeleton", "model", "device")
 VERDICT = ("strict", "accept")
 SCALE = ("height", "length", "camera_distance")
 # how a recording is calibrated, and what is written of it
-INTRINSICS = ("cameras", "refine", "focal_uncertainty", "focal_per_camera")
 CALIBRATION = (
-    *INTRINSICS,
+    *("refine", "focal_uncertainty", "focal_per_camera"),
     *MODEL,
-    "individuals",
-    "pairs",
-    "solver",
-    "seed",
-    "scheduler",
+    *("individuals", "pairs", "solver", "seed", "scheduler"),
     *READING,
-    "moved",
-    "mend",
-    "sync",
-    "sync_window",
-    *WORLD_OPTIONS,
-    "smooth",
-    *RESULT_OPTIONS,
-    *VERDICT,
-    "quiet",
+    *("moved", "mend", "sync", "sync_window", "world", *SCALE, "forward", "align", "smooth"),
+    *("write", "fps", "report", *VERDICT, "quiet"),
 )
 
 
-@dataclass(frozen=True)
-class SharedOptions:
-    """What was typed, as text; options that the command does not have are as if left out.
+def _check_rates(
+    _: click.Context, __: click.Parameter, rates: tuple[tuple[str, float], ...]
+) -> dict[str, float]:
+    """Return the frames per second of each camera, those of all as that of "".
 
-    keypoints ... views: the keypoint files and how to read them, see `texts.read_options`.
-    mirrored ... moved: what is known to be wrong with them, see `texts.stated_mends`.
-    cameras ... focal_per_camera: what is known of the intrinsics, see `inputs.intrinsics_config`.
-    skeleton: file with names of joints of one's own. model: None = chosen by joint names.
-    individuals: how many there are at most, None = nobody knows.
-    pairs: of cameras that are calibrated. solver: of pairs.
-    scheduler: address of a Dask scheduler, None = the work is done here.
-    write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
-    report: whether report.html is written.
-    sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
-    axes ... align: the coordinates of the results, see `world_texts.world_config`.
-    smooth: what is done to poses, one of `config.SMOOTH_MODES`.
-    strict, accept: which verdicts will do, see `verdicts.exit_status`.
+    Raises click's BadParameter where single ones are typed, and not that of the others.
     """
-
-    keypoints: tuple[str, ...] = ()
-    format: str | None = None
-    layout: str | None = None
-    image_size: tuple[str, ...] = ()
-    camera_regex: str | None = None
-    frame_offset: tuple[str, ...] = ()
-    crop_offset: tuple[str, ...] = ()
-    views: str | None = None
-    mirrored: tuple[str, ...] = ()
-    sides: tuple[str, ...] = ()
-    rotated: tuple[str, ...] = ()
-    resized: tuple[str, ...] = ()
-    exchanged: tuple[str, ...] = ()
-    moved: tuple[str, ...] = ()
-    mend: str = MENDING[0]
-    cameras: str = ""
-    refine: str | None = None
-    focal_uncertainty: float | None = None
-    focal_per_camera: bool = False
-    rig: str = ""
-    matches: str = ""
-    skeleton: Path | None = None
-    model: str | None = None
-    device: str = "cpu"
-    individuals: int | None = None
-    pairs: str = ViewGraphConfig.pairs
-    solver: str = PAIR_SOLVERS[0]
-    seed: int = 0
-    scheduler: str | None = None
-    write: tuple[str, ...] = ()
-    fps: tuple[str, ...] = ()
-    report: bool = True
-    sync: str = SyncConfig.mode
-    sync_window: int = SyncConfig.window
-    axes: str = WorldConfig.axes
-    height: tuple[str, ...] = ()
-    length: tuple[str, ...] = ()
-    camera_distance: tuple[str, ...] = ()
-    forward: str = ""
-    align: Path | None = None
-    smooth: str = PosesConfig.smooth
-    strict: bool = False
-    accept: str | None = None
-    quiet: bool = False
+    found = dict(rates)
+    if found and "" not in found:
+        typed = ", ".join(f"{camera}:{rate:g}" for camera, rate in found.items())
+        raise click.BadParameter(
+            f"expected that of the other cameras too, as --fps 30, found {typed} alone"
+        )
+    return found
 
 
-_OPTIONS = {
-    **FILE_OPTIONS,
-    **RESULT_OPTIONS,
-    **WORLD_OPTIONS,
-    "keypoints": click.argument(
-        "keypoints", nargs=-1, required=True, type=values.KEYPOINTS, metavar="KEYPOINTS..."
+def _several(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> click.Option:
+    """Return an option that may be repeated."""
+    return click.Option([flag], type=kind, multiple=True, help=help, **more)
+
+
+def _choice(flag: str, choices: tuple[str, ...], default: str, help: str) -> click.Option:
+    """Return an option that is one of a few words."""
+    return click.Option([flag], type=click.Choice(choices), default=default, help=help)
+
+
+_ALL: tuple[click.Parameter, ...] = (
+    click.Argument(
+        ["keypoints"],
+        nargs=-1,
+        required=True,
+        type=values.KEYPOINTS,
+        metavar="KEYPOINTS...",
     ),
-    "cameras": click.option(
-        "--cameras",
+    click.Option(
+        ["--format"],
+        type=values.KEYPOINT_FORMAT,
+        help="Format of the keypoint files, where their content does not show it "
+        "(docs/formats.md).",
+    ),
+    click.Option(
+        ["--layout"],
+        type=values.LAYOUT,
+        help="Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, "
+        "... or a,b,c.",
+    ),
+    _several(
+        "--image-size",
+        values.IMAGE_SIZE,
+        "Size of the images in pixels, where the files do not say it, of all cameras or of "
+        "one; positions from 0 to 1 are multiplied by it.",
+    ),
+    click.Option(
+        ["--camera-regex"],
+        type=values.PATTERN,
+        help="Finds the camera's name in a path: its group `camera`, its first group, or all of "
+        "it.",
+    ),
+    _several(
+        "--frame-offset",
+        values.FRAME_OFFSET,
+        "Added to the frame numbers of a camera; may be given for each camera.",
+    ),
+    _several(
+        "--crop-offset",
+        values.CROP_OFFSET,
+        "Corner of the part of the image in which a camera's keypoints were found.",
+    ),
+    click.Option(
+        ["--views"],
+        type=values.VIEWS,
+        help="Views in one file: endings of keypoint names (paw_A, paw_B), each a camera.",
+    ),
+    _several("--mirrored", values.CAMERA, "The video of this camera is mirrored, left for right."),
+    _several(
+        "--sides",
+        values.CAMERA,
+        "Left and right are exchanged in the names of this camera's keypoints.",
+    ),
+    _several(
+        "--rotated",
+        values.ROTATED,
+        "The images of a camera are turned clockwise against its intrinsics, by 90, 180 or "
+        "270 degrees.",
+    ),
+    _several(
+        "--resized",
+        values.RESIZED,
+        "The images of a camera are so many times as large as its intrinsics say.",
+    ),
+    _several("--exchanged", values.EXCHANGED, "The intrinsics of these two cameras are exchanged."),
+    _several("--moved", values.MOVED, "A camera stands, or looks, elsewhere from this frame on."),
+    _choice(
+        "--mend",
+        MENDING,
+        MENDING[0],
+        "What is done where the files of a camera turn out to be wrong: auto mends for this "
+        "run what has one right way, none only names it.",
+    ),
+    click.Option(
+        ["--cameras"],
         required=True,
         type=values.INTRINSICS,
         metavar="INTRINSICS",
         help="File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
         "- reads stdin.",
     ),
-    "refine": click.option(
-        "--refine",
+    click.Option(
+        ["--refine"],
         type=click.Choice(REFINEMENTS),
         metavar="WHAT",
         help="What of the intrinsics is estimated with the rig: none, focal (length), or focal+k1 "
         "(and the first coefficient of the lens). [default: none, without --cameras focal+k1]",
     ),
-    "focal_uncertainty": click.option(
-        "--focal-uncertainty",
-        type=PERCENTAGE,
-        metavar="SHARE",
+    click.Option(
+        ["--focal-uncertainty"],
+        type=values.PERCENTAGE,
         help="How good the focal lengths in INTRINSICS are, as 5%; they are estimated within it. "
         "[default: 50%]",
     ),
-    "focal_per_camera": click.option(
-        "--focal-per-camera",
+    click.Option(
+        ["--focal-per-camera"],
         is_flag=True,
         help="Estimate the intrinsics of each camera by itself. [default: cameras of equal image "
         "size change alike]",
     ),
-    "rig": click.option(
-        "--rig",
+    click.Option(
+        ["--rig"],
         required=True,
         type=values.RIG,
         metavar="CAMERAS",
         help="File or folder with cameras and where they stand (docs/formats.md); - reads stdin.",
     ),
-    "matches": click.option(
-        "--matches",
+    click.Option(
+        ["--matches"],
         required=True,
         type=values.MATCHES,
         metavar="MATCHES",
         help="File of the command `match`; - reads stdin.",
     ),
-    "skeleton": click.option(
-        "--skeleton",
-        type=click.Path(path_type=Path),
+    click.Option(
+        ["--skeleton"],
+        type=values.FILE,
         metavar="FILE.yaml",
         help="Your names of joints: a mapping `aliases`, your name: joint.",
     ),
-    "model": click.option(
-        "--model",
-        type=values.NAME_OR_FILE,
-        metavar="NAME|FILE|none",
-        shell_complete=values.offer_models,
+    click.Option(
+        ["--model"],
+        type=values.MODEL,
         help="Network: shipped (see `models`) or one of your own; none: geometry alone. "
         "[default: by joint names]",
     ),
-    "device": click.option(
-        "--device",
-        type=click.Choice(["cpu", "cuda"]),
-        default=SharedOptions.device,
-        help="Where the network computes.",
-    ),
-    "individuals": click.option(
-        "--individuals",
-        type=COUNT,
+    _choice("--device", ("cpu", "cuda"), "cpu", "Where the network computes."),
+    click.Option(
+        ["--individuals"],
+        type=values.COUNT,
         metavar="N",
         help="How many individuals there are, where you know it: never more get a name, and those "
         "best supported do. [default: as many as the recording needs]",
     ),
-    "pairs": click.option(
+    _choice(
         "--pairs",
-        type=click.Choice(PAIR_CHOICES),
-        default=SharedOptions.pairs,
-        help="Which pairs of more than "
-        f"{ViewGraphConfig().small_rig} cameras are calibrated: those chosen by what they see in "
-        "common, or all, which takes longer. Of fewer cameras, all are.",
+        PAIR_CHOICES,
+        ViewGraphConfig.pairs,
+        f"Which pairs of more than {ViewGraphConfig().small_rig} cameras are calibrated: those "
+        "chosen by what they see in common, or all, which takes longer. Of fewer cameras, all are.",
     ),
-    "solver": click.option(
-        "--solver",
+    click.Option(
+        ["--solver"],
         type=click.Choice(PAIR_SOLVERS),
-        default=SharedOptions.solver,
+        default=PAIR_SOLVERS[0],
         metavar="NAME",
         help="How pairs of cameras are calibrated: search (ours), paper (its gradient descent, "
         "slow; through its own network with --model people_token), or five-point (its baseline).",
     ),
-    "seed": click.option(
-        "--seed",
-        type=SEED,
-        default=SharedOptions.seed,
-        help="The same seed gives the same results.",
+    click.Option(
+        ["--seed"], type=values.SEED, default=0, help="The same seed gives the same results."
     ),
-    "scheduler": click.option(
-        "--scheduler",
+    click.Option(
+        ["--scheduler"],
         metavar="ADDRESS",
         help="Dask scheduler whose workers do the work (tcp://HOST:PORT); same results.",
     ),
-    "sync": click.option(
+    _choice(
         "--sync",
-        type=click.Choice(SYNC_MODES),
-        default=SharedOptions.sync,
-        help="What is done where the clocks of cameras differ: auto puts them on one clock for "
+        SYNC_MODES,
+        SyncConfig.mode,
+        "What is done where the clocks of cameras differ: auto puts them on one clock for "
         "this run, check only says so, off does not look.",
     ),
-    "sync_window": click.option(
-        "--sync-window",
+    click.Option(
+        ["--sync-window"],
         type=click.IntRange(min=1),
-        default=SharedOptions.sync_window,
+        default=SyncConfig.window,
         metavar="FRAMES",
         help="By how much a camera may be early or late.",
     ),
-    "smooth": click.option(
+    click.Option(
+        ["--world"],
+        type=values.WORLD,
+        default=WorldConfig.axes,
+        help="Coordinates of the results: floor (z up, the origin on it), first-camera, the name "
+        "of a camera, or a FILE with cameras in a world of yours; auto: the floor where subjects "
+        "show it, else the first camera.",
+    ),
+    _several(
+        "--height",
+        values.HEIGHT,
+        "Stature of who stands, or of one individual (0=1.75); 1.75+-0.01 with a standard "
+        "deviation; may be repeated. Known lengths make the unit metres.",
+    ),
+    _several(
+        "--length",
+        values.LENGTH,
+        "Distance of two joints, as left_hip-left_knee=0.42+-0.01; may be repeated.",
+    ),
+    _several(
+        "--camera-distance",
+        values.CAMERA_DISTANCE,
+        "Distance of two cameras, as cam1-cam2=3.1+-0.02; may be repeated.",
+    ),
+    click.Option(
+        ["--forward"],
+        default="",
+        show_default=False,
+        metavar="A-B",
+        help="What is ahead (y) on the floor: mostly from joint A to joint B. [default: as the "
+        "first camera looks]",
+    ),
+    click.Option(
+        ["--align"],
+        type=values.FILE,
+        metavar="LANDMARKS.csv",
+        help="Points of the scene whose places are known, and where cameras see them: columns "
+        "name,x,y,z,camera,u,v, metres and pixels. Results are in their coordinates.",
+    ),
+    _choice(
         "--smooth",
-        type=click.Choice(SMOOTH_MODES),
-        default=SharedOptions.smooth,
-        help="What is done to the poses: auto fits them to motion and bones as strongly as "
+        SMOOTH_MODES,
+        PosesConfig.smooth,
+        "What is done to the poses: auto fits them to motion and bones as strongly as "
         "held-out detections say, bones to bones alone, off leaves the triangulated points.",
     ),
-    "strict": click.option(
-        "--strict", is_flag=True, help="Exit status 1 where the rig is weak, too."
+    _several(
+        "--write",
+        values.RESULT_FORMAT,
+        "Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. "
+        "Those in metres need a known length: --height, --length, --camera-distance.",
     ),
-    "accept": click.option(
-        "--accept",
+    _several(
+        "--fps",
+        values.RATE,
+        "Frames per second, for the formats that need it and for report.html; and of a single "
+        "camera whose rate is another.",
+        callback=_check_rates,
+    ),
+    click.Option(
+        ["--report/--no-report"],
+        default=True,
+        help="Write report.html, which shows the results in a browser.",
+    ),
+    click.Option(["--strict"], is_flag=True, help="Exit status 1 where the rig is weak, too."),
+    click.Option(
+        ["--accept"],
         type=click.Choice(["not-determined"]),
         help="Exit status 0 also where the rig is not determined.",
     ),
-    "quiet": click.option(
-        "--quiet",
-        "-q",
+    click.Option(
+        ["--quiet", "-q"],
         is_flag=True,
         help="Write nothing to stderr but errors, and warnings of doubtful rigs.",
     ),
-}
+)
+SHARED: Mapping[str, click.Parameter] = {str(param.name): param for param in _ALL}
 
 
-def shared_options(*names: str, **changed: Callable[..., Any]) -> Callable[[Command], Command]:
-    """Add these options to a command, which gets what was typed as its first argument.
-
-    changed: options that the command says in other words, by the name of the field.
-    """
-    known = _OPTIONS | changed
-
-    def add(command: Command) -> Command:
-        @functools.wraps(command)
-        def collect(**values: Any) -> Any:
-            typed = {name: values.pop(name) for name in names}
-            return command(SharedOptions(**typed), **values)
-
-        for name in reversed(names):
-            collect = known[name](collect)
-        return collect  # type: ignore[return-value]  # click keeps the kind of what it decorates
-
-    return add
-
-
-def output_text(what: str) -> Callable[[Command], Command]:
-    """Add `-o FILE` to a command whose result is text: stdout unless a file is given."""
-    return click.option(
-        "-o",
-        "--output",
+def output_text(what: str) -> click.Option:
+    """Return `-o FILE` of a command whose result is text: stdout unless a file is given."""
+    return click.Option(
+        ["-o", "--output"],
         default=STDIO,
         type=values.ANY_PATH,
         metavar="FILE",
@@ -301,28 +334,127 @@ def output_text(what: str) -> Callable[[Command], Command]:
     )
 
 
-def output_file(what: str) -> Callable[[Command], Command]:
-    """Add `-o FILE` to a command whose result is a file."""
+def output_file(what: str) -> click.Option:
+    """Return `-o FILE` of a command whose result is a file."""
     return _output("FILE", what)
 
 
-def output_folder(what: str) -> Callable[[Command], Command]:
-    """Add `-o OUT` to a command whose result is a folder."""
+def output_folder(what: str) -> click.Option:
+    """Return `-o OUT` of a command whose result is a folder."""
     return _output("OUT", what)
 
 
-def as_json(what: str) -> Callable[[Command], Command]:
-    """Add `--json`."""
-    return click.option("--json", "as_json", is_flag=True, help=what)
-
-
-def _output(metavar: str, what: str) -> Callable[[Command], Command]:
-    """Add a required `-o` with a path."""
-    return click.option(
-        "-o",
-        "--output",
-        type=click.Path(path_type=Path),
-        required=True,
-        metavar=metavar,
-        help=what,
+def _output(metavar: str, what: str) -> click.Option:
+    """Return a required `-o` with a path."""
+    return click.Option(
+        ["-o", "--output"], type=values.FILE, required=True, metavar=metavar, help=what
     )
+
+
+def as_json(what: str) -> click.Option:
+    """Return `--json`."""
+    return click.Option(["--json", "as_json"], is_flag=True, help=what)
+
+
+def output_poses() -> click.Option:
+    """Return `-o FILE` of a command whose result is the poses of a recording."""
+    return output_file(
+        "Poses: a .h5 file, or a .csv file (several individuals go to NAME_0.csv, NAME_1.csv, ...)."
+    )
+
+
+def rate_of_poses(help: str) -> click.Option:
+    """Return `--fps` of a command that reads poses."""
+    return click.Option(["--fps"], type=values.POSITIVE, help=help)
+
+
+def intrinsics_if_any(help: str) -> click.Option:
+    """Return a `--cameras` that may be left out."""
+    return click.Option(
+        ["--cameras"],
+        default="",
+        show_default=False,
+        type=values.INTRINSICS,
+        metavar="INTRINSICS",
+        help=help,
+    )
+
+
+def calibration(cameras: str) -> tuple[str | click.Parameter, ...]:
+    """Return the parameters of a command that calibrates; cameras: the help of `--cameras`."""
+    return (intrinsics_if_any(cameras), *CALIBRATION)
+
+
+# --- what was typed
+
+
+class Typed:
+    """What was typed, under the names of Python; None or () of what a command does not have.
+
+    texts: name -> the texts of what the command line, or a file of options, gives.
+    """
+
+    def __init__(
+        self, found: Mapping[str, Any], texts: Mapping[str, list[str]] | None = None
+    ) -> None:
+        vars(self).update(found)
+        self.texts = dict(texts or {})
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what stands for an option that the command does not have."""
+        if name not in SHARED:
+            raise AttributeError(name)
+        return () if getattr(SHARED[name], "multiple", False) else None
+
+    def replace(self, found: dict[str, Any], texts: Mapping[str, Any]) -> "Typed":
+        """Return this with other values, and the texts of these."""
+        more = {name: _list_texts(each) for name, each in texts.items()}
+        return Typed(vars(self) | found, self.texts | more)
+
+
+class Command(click.Command):
+    """A command whose function gets what was typed, and returns an exit status, or nothing."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Keep the texts of what is given beside their values."""
+        typed, _, _ = self.make_parser(ctx).parse_args(list(args))
+        rest = super().parse_args(ctx, args)
+        said = {
+            ParameterSource.COMMANDLINE: typed,
+            ParameterSource.DEFAULT_MAP: ctx.default_map or {},
+        }
+        sources = {name: ctx.get_parameter_source(name) for name in ctx.params}
+        ctx.meta["texts"] = {
+            name: _list_texts(said[source][name])
+            for name, source in sources.items()
+            if source in said
+        }
+        return rest
+
+
+def _list_texts(value: Any) -> list[str]:
+    """Return the values of a parameter as the command line has them."""
+    if isinstance(value, bool):
+        return [str(value).lower()]
+    return [str(each) for each in value] if isinstance(value, list | tuple) else [str(value)]
+
+
+def command(name: str, *params: str | click.Parameter) -> Callable[[Callable[..., Any]], Command]:
+    """Make a command of a function; its docstring is the help.
+
+    params: names of shared options, and parameters of its own.
+    """
+
+    def make(function: Callable[[Typed], int | None]) -> Command:
+        def call(**found: Any) -> None:
+            context = click.get_current_context()
+            context.exit(function(Typed(found, context.meta["texts"])) or 0)
+
+        return Command(
+            name,
+            params=[SHARED[each] if isinstance(each, str) else each for each in params],
+            callback=call,
+            help=function.__doc__,
+        )
+
+    return make

@@ -1,20 +1,78 @@
-"""What options and arguments take: words where a value is missing, and what the shell offers.
+"""The types of arguments: what is typed, as the value that the library takes, or a refusal.
 
-The functions `offer_...` are click's `shell_complete`: they get what has been typed of a value, and
-return what it may become, with a word on each that zsh and fish show. The tables of formats are
-imported when they are asked for, so that --help is quick; torch never is.
+`Written` values have a form of their own (`cam1:-3`), `PathOf` a word on what is missing, numbers
+have bounds; each offers to the shell what it may become. Readers are imported when a value needs
+them, so that --help is quick; torch never is.
 """
 
+import math
 import os
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from mocap_calib.config import CueKind, ScaleCue
+from mocap_calib.errors import one_line
+
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
+
+Value = TypeVar("Value")
+_LARGEST = 2**53  # whole numbers beyond it are not exact in a float
+
+
+class Written(click.ParamType[Any]):
+    """A value that is written in a form of its own, or a name of those that are offered.
+
+    metavar: its form, for the help. form: the same in words, with an example.
+    read: makes a value of the text; raises ValueError where the text has another form.
+    offers: returns the values that there are, with a word on each. files: a file is one, too.
+    """
+
+    def __init__(
+        self,
+        metavar: str,
+        form: str = "",
+        read: Callable[[str], Any] = str,
+        *,
+        offers: Callable[[], Mapping[str, str]] = dict,
+        files: bool = False,
+    ) -> None:
+        self.name = metavar.lower()
+        self.metavar, self.form, self.read = metavar, form, read
+        self.offers, self.files = offers, files
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the value of a text. Raises click's BadParameter."""
+        try:
+            return self.read(value)
+        except ValueError:
+            found = one_line(value, width=200)
+            self.fail(f"expected {self.form}, found {found}", param, ctx)
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """Return the form of the value."""
+        return self.metavar
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> "list[CompletionItem]":
+        """Return the values that begin as what was typed."""
+        from click.shell_completion import CompletionItem
+
+        offered = [
+            CompletionItem(value, help=text)
+            for value, text in self.offers().items()
+            if value.startswith(incomplete)
+        ]
+        return [*offered, CompletionItem(incomplete, type="file")] if self.files else offered
+
+
+# --- files and folders
 
 
 class PathOf(click.Path):
@@ -49,7 +107,7 @@ class IntrinsicsPath(PathOf):
         )
 
 
-class NameOrFile(click.types.StringParamType):
+class NameOrFile(Written):
     """A word that the command knows, or a file, which its ending or its being there tells."""
 
     endings = (".toml", ".yaml", ".yml", ".json", ".xml", ".csv", ".txt", ".safetensors")
@@ -58,14 +116,6 @@ class NameOrFile(click.types.StringParamType):
         """Return whether it is a file rather than a word or the name of a camera."""
         # pathlib complains of names that are too long for a file
         return path.suffix.lower() in self.endings or os.path.isfile(path)
-
-
-def wrong_form(form: str, text: str, option: str) -> click.BadParameter:
-    """Return the complaint about a value that is not written as the option wants it."""
-    from mocap_calib.errors import one_line
-
-    found = one_line(text, width=200)
-    return click.BadParameter(f"expected {form}, found {found}", param_hint=option)
 
 
 KEYPOINTS = PathOf(
@@ -88,37 +138,242 @@ POSES = PathOf(
     "Expected 3D poses; give the folder of `run`, or files of a 3D format of docs/formats.md."
 )
 ANY_PATH = PathOf()
-NAME_OR_FILE = NameOrFile()
+FILE = click.Path(path_type=Path)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
-# --- what the shell offers
+# --- numbers
 
 
-def _offer(
-    list_values: Callable[[], Mapping[str, str]], *, files: bool = False
-) -> Callable[[click.Context, click.Parameter, str], "list[CompletionItem]"]:
-    """Return click's `shell_complete` for an option that takes one of these values.
+class Number(click.FloatRange):
+    """A number within bounds; infinity and NaN are none."""
 
-    list_values: returns value -> what it is. files: the option takes files as well.
+    name = "number"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number. Raises click's BadParameter."""
+        try:
+            number = super().convert(value, param, ctx)
+        except click.BadParameter:
+            number = math.nan
+        if not math.isfinite(number):
+            self.fail(f"expected a number{_describe_bounds(self)}, found {value}", param, ctx)
+        return number
+
+
+class WholeNumber(click.IntRange):
+    """A whole number within bounds."""
+
+    name = "integer"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Return the number. Raises click's BadParameter."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            bounds = _describe_bounds(self)
+            self.fail(f"expected a whole number{bounds}, found {value}", param, ctx)
+
+
+def _describe_bounds(kind: click.IntRange | click.FloatRange) -> str:
+    """Return what the bounds of a number are, in words."""
+    if kind.max is not None:
+        return f" from {kind.min:g} to {kind.max:g}"
+    return f" above {kind.min:g}" if kind.min_open else f" of {kind.min:g} or more"
+
+
+def _share(text: str) -> float:
+    """Return the share that `5%` or `0.05` is. Raises ValueError."""
+    text = text.strip()
+    share = float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
+    if not 0 < share <= 1:
+        raise ValueError(share)
+    return share
+
+
+COUNT = WholeNumber(min=1)
+SEED = WholeNumber(min=0)
+SHARE = Number(min=0, max=1)
+NOT_NEGATIVE = Number(min=0)
+POSITIVE = Number(min=0, min_open=True)
+PERCENTAGE = Written("SHARE", "a share of up to 100%, as 5% or 0.05", _share)
+
+
+# --- values of cameras, and known lengths
+
+
+def _numbers(text: str, count: int) -> list[float]:
+    """Return `count` numbers with commas between them. Raises ValueError."""
+    numbers = [float(part) for part in text.split(",")]
+    if len(numbers) != count or not all(abs(number) < _LARGEST for number in numbers):
+        raise ValueError(text)
+    return numbers
+
+
+def _whole(text: str) -> int:
+    """Return a whole number. Raises ValueError."""
+    (number,) = _numbers(text, 1)
+    if number % 1:
+        raise ValueError(text)
+    return int(number)
+
+
+def _positive(text: str) -> float:
+    """Return a number above 0. Raises ValueError."""
+    (number,) = _numbers(text, 1)
+    if number <= 0:
+        raise ValueError(text)
+    return number
+
+
+def _degrees(text: str) -> int:
+    """Return by how many degrees an image is rotated. Raises ValueError."""
+    if (degrees := _whole(text)) not in (90, 180, 270):
+        raise ValueError(text)
+    return degrees
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Return the width and the height of `WxH`. Raises ValueError."""
+    width, height = map(_whole, text.lower().split("x"))
+    if min(width, height) <= 0:
+        raise ValueError(text)
+    return width, height
+
+
+def _corner(text: str) -> tuple[float, float]:
+    """Return the x and the y of `X,Y`. Raises ValueError."""
+    x, y = _numbers(text, 2)
+    return x, y
+
+
+def _of_camera(
+    read: Callable[[str], Value], text: str, *, of_all: bool = False
+) -> tuple[str, Value]:
+    """Return the camera and the value of `CAM:VALUE`. Raises ValueError.
+
+    of_all: a value alone is that of all cameras, whose name is "".
     """
-
-    def complete(
-        _context: click.Context, _param: click.Parameter, incomplete: str
-    ) -> "list[CompletionItem]":
-        """Return the values that begin as what was typed."""
-        from click.shell_completion import CompletionItem
-
-        items = [
-            CompletionItem(value, help=text)
-            for value, text in list_values().items()
-            if value.startswith(incomplete)
-        ]
-        return [*items, CompletionItem(incomplete, type="file")] if files else items
-
-    return complete
+    camera, _, value = text.rpartition(":")
+    if not camera and not of_all:
+        raise ValueError(text)
+    return camera, read(value)
 
 
-def _list_formats(
+def _two_cameras(text: str) -> tuple[str, str]:
+    """Return the cameras of `A,B`. Raises ValueError."""
+    first, second = text.split(",")
+    if not first or not second or first == second:
+        raise ValueError(text)
+    return first, second
+
+
+def _cue(kind: CueKind, text: str) -> ScaleCue:
+    """Return the known length of `[OF=]METRES[+-SIGMA]`. Raises ValueError."""
+    of, equals, value = text.rpartition("=")
+    if not of.strip() and (kind != "height" or equals):
+        raise ValueError(text)
+    metres, stated, sigma = value.replace("±", "+-").partition("+-")
+    return ScaleCue(kind, float(metres), float(sigma if stated else 0), of.strip())
+
+
+def _pattern(text: str) -> str:
+    """Return a regular expression that is one. Raises click's BadParameter."""
+    try:
+        re.compile(text)
+    except re.error as error:
+        raise click.BadParameter(
+            f"expected a regular expression, as 'cam[0-9]+', found {text} ({error})"
+        ) from None
+    return text
+
+
+def _layout(text: str) -> tuple[str, ...]:
+    """Return the names of a layout, or those typed. Raises MismatchError."""
+    from mocap_calib.io.keypoints.layouts import parse_layout
+
+    return parse_layout(text)
+
+
+def _frames(text: str) -> list[int]:
+    """Return the frame numbers of `100,200-210`, each once. Raises ValueError."""
+    found: set[int] = set()
+    for part in text.split(","):
+        ends = part.strip().split("-")
+        if len(ends) > 2 or not all(end.isdecimal() for end in ends):
+            raise ValueError(text)
+        first, last = int(ends[0]), int(ends[-1])
+        if last < first:
+            raise ValueError(text)
+        found.update(range(first, last + 1))
+    return sorted(found)
+
+
+def _video(text: str) -> tuple[str, Path]:
+    """Return the camera and the file of `CAM=FILE`. Raises ValueError."""
+    camera, _, path = text.partition("=")
+    if not camera or not path:
+        raise ValueError(text)
+    return camera, Path(path)
+
+
+def _comma_separated(text: str) -> tuple[str, ...]:
+    """Return the words of `A,B`."""
+    return tuple(text.split(","))
+
+
+CAMERA = Written("CAM")
+IMAGE_SIZE = Written(
+    "WxH|CAM:WxH",
+    "a width and a height above 0, as 1280x720",
+    partial(_of_camera, _size, of_all=True),
+)
+FRAME_OFFSET = Written(
+    "CAM:N", "camera:frames with a whole number, as cam1:-3", partial(_of_camera, _whole)
+)
+CROP_OFFSET = Written("CAM:X,Y", "camera:x,y, as cam1:640,0", partial(_of_camera, _corner))
+ROTATED = Written(
+    "CAM:DEG", "camera:degrees with 90, 180 or 270, as cam1:90", partial(_of_camera, _degrees)
+)
+RESIZED = Written(
+    "CAM:FACTOR", "camera:factor above 0, as cam1:0.5", partial(_of_camera, _positive)
+)
+MOVED = Written(
+    "CAM:FRAME", "camera:frame with a whole number, as cam1:500", partial(_of_camera, _whole)
+)
+EXCHANGED = Written("A,B", "two cameras, as cam1,cam2", _two_cameras)
+RATE = Written(
+    "FPS|CAM:FPS",
+    "frames per second above 0, or camera:frames per second, as cam1:25",
+    partial(_of_camera, _positive, of_all=True),
+)
+HEIGHT = Written(
+    "METRES|ID=METRES",
+    "metres above 0, or individual=metres, as 0=1.75+-0.01",
+    partial(_cue, "height"),
+)
+LENGTH = Written(
+    "A-B=METRES",
+    "two joints and metres above 0, as left_hip-left_knee=0.42+-0.01",
+    partial(_cue, "length"),
+)
+CAMERA_DISTANCE = Written(
+    "A-B=METRES",
+    "two cameras and metres above 0, as cam1-cam2=3.1+-0.02",
+    partial(_cue, "camera distance"),
+)
+PATTERN = Written("REGEX", read=_pattern)
+VIEWS = Written("A,B", read=_comma_separated)
+FRAMES = Written("N,N-N,...", "frame numbers, as 100,200-210", _frames)
+VIDEO = Written("CAM=FILE", "CAM=FILE", _video)
+
+
+# --- names
+
+
+def _formats(
     *kinds: str, read: bool = False, written: bool = False, unitless: bool = False
 ) -> dict[str, str]:
     """Return name -> titles of the formats of these kinds of files.
@@ -138,14 +393,14 @@ def _list_formats(
     return titles
 
 
-def _list_layouts() -> dict[str, str]:
+def _layouts() -> dict[str, str]:
     """Return name -> number of points of the layouts of keypoints."""
     from mocap_calib.io.keypoints.layouts import LAYOUTS
 
     return {name: f"{len(names)} keypoints" for name, names in LAYOUTS.items()}
 
 
-def _list_models() -> dict[str, str]:
+def _models() -> dict[str, str]:
     """Return the shipped models, and how to do without one."""
     from mocap_calib.lift.lifter import shipped_tokens
     from mocap_calib.recording.joints import SHIPPED
@@ -154,7 +409,7 @@ def _list_models() -> dict[str, str]:
     return models | dict.fromkeys(shipped_tokens(), "the paper's, for --solver paper")
 
 
-def _list_skeletons() -> dict[str, str]:
+def _skeletons() -> dict[str, str]:
     """Return the shipped skeletons."""
     from mocap_calib.recording.joints import SHIPPED
 
@@ -163,16 +418,17 @@ def _list_skeletons() -> dict[str, str]:
 
 _KINDS = ("poses", "keypoints", "cameras")
 
-offer_keypoint_formats = _offer(partial(_list_formats, "keypoints"))
-offer_written_keypoint_formats = _offer(partial(_list_formats, "keypoints", written=True))
-offer_written_camera_formats = _offer(partial(_list_formats, "cameras", written=True))
-offer_formats = _offer(partial(_list_formats, *_KINDS, read=True))
-offer_pose_formats = _offer(partial(_list_formats, "poses", read=True))
-offer_written_formats = _offer(partial(_list_formats, *_KINDS, written=True))
-# the lengths of a run are arbitrary
-offer_result_formats = _offer(
-    partial(_list_formats, "poses", "cameras", written=True, unitless=True)
+LAYOUT = Written("NAME", read=_layout, offers=_layouts)
+MODEL = NameOrFile("NAME|FILE|none", offers=_models, files=True)
+WORLD = NameOrFile("WORLD")
+SKELETON = Written("NAME|FILE.yaml", offers=_skeletons, files=True)
+KEYPOINT_FORMAT = Written("NAME", offers=partial(_formats, "keypoints"))
+WRITTEN_KEYPOINT_FORMAT = Written("FORMAT", offers=partial(_formats, "keypoints", written=True))
+WRITTEN_CAMERA_FORMAT = Written("FORMAT", offers=partial(_formats, "cameras", written=True))
+POSE_FORMAT = Written("FORMAT", offers=partial(_formats, "poses", read=True))
+FORMAT = Written("FORMAT", offers=partial(_formats, *_KINDS, read=True))
+WRITTEN_FORMAT = Written("FORMAT", offers=partial(_formats, *_KINDS, written=True))
+# a run does not know the unit of its lengths
+RESULT_FORMAT = Written(
+    "FORMAT", offers=partial(_formats, "poses", "cameras", written=True, unitless=True)
 )
-offer_layouts = _offer(_list_layouts)
-offer_models = _offer(_list_models, files=True)
-offer_skeletons = _offer(_list_skeletons, files=True)

@@ -284,12 +284,15 @@ def load_model(name: str = "people", *, pair_solver: str = "search") -> Lifter:
     return lifter
 
 
-def choose_model(recording: Recording, model: str | Path | Lifter) -> tuple[Recording, Lifter]:
+def choose_model(
+    recording: Recording, model: str | Path | Lifter, *, pair_solver: str = "search"
+) -> tuple[Recording, Lifter]:
     """Return the lifter of a recording, and the recording with its joints in that vocabulary.
 
     model: "auto", the name of a shipped model, a file of weights, or "none" for geometry alone;
         or a lifter, whose joints the recording's vocabulary already means. Where it is not the
         model that the recording was made for, keypoints are matched to its joints by name.
+    pair_solver: what will calibrate the pairs, see `load_model`.
 
     Raises FormatError, and MismatchError where a lifter has too few joints for the vocabulary.
     """
@@ -308,4 +311,4 @@ def choose_model(recording: Recording, model: str | Path | Lifter) -> tuple[Reco
     if name != recording.model:
         vocabulary = match_names(recording.keypoints, load_vocabulary(name))
         recording = replace(recording, vocabulary=vocabulary, model=name)
-    return recording, load_model(name)
+    return recording, load_model(name, pair_solver=pair_solver)

@@ -1,34 +1,27 @@
 """mocap-calib adjust: bundle adjustment."""
 
-from typing import TYPE_CHECKING
-
 import click
 
 from mocap_calib_cli import options, values
 
-if TYPE_CHECKING:
-    from mocap_calib.results import CalibrationResult
-    from mocap_calib_cli.progress import Reporter
 
-
-@click.command(name="adjust")
-@options.output_text("adjusted cameras (YAML)")
-@click.option(
-    "--matches-out",
-    type=values.ANY_PATH,
-    metavar="FILE",
-    help="Where to write the matches that the adjusted cameras imply.",
+@options.command(
+    "adjust",
+    options.output_text("adjusted cameras (YAML)"),
+    click.Option(
+        ["--matches-out"],
+        type=values.ANY_PATH,
+        metavar="FILE",
+        help="Where to write the matches that the adjusted cameras imply.",
+    ),
+    "rig",
+    "matches",
+    *options.MODEL,
+    *options.KEYPOINTS,
+    *options.VERDICT,
+    "quiet",
 )
-@options.shared_options(
-    "rig", "matches", *options.MODEL, *options.KEYPOINTS, *options.VERDICT, "quiet"
-)
-@click.pass_context
-def command(
-    context: click.Context,
-    shared: options.SharedOptions,
-    output: str,
-    matches_out: str | None,
-) -> None:
+def command(typed: options.Typed) -> int:
     """Adjust the cameras and match again, in turn, until no match changes (bundle adjustment).
 
     Errors and verdict are those of the frames that calibration looks at. The exit status is 1
@@ -39,76 +32,35 @@ def command(
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv -o cameras.yaml
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --matches-out new.csv
     """
-    from mocap_calib.adjust.refine import adjust_until_stable
-    from mocap_calib.config import Config
-    from mocap_calib.identities import finalise_identities
-    from mocap_calib.io.results.matches_csv import matches_csv
-    from mocap_calib.rig.associate import label_all_frames
-    from mocap_calib.verdict.verdict import conclude_without_pairs
-    from mocap_calib_cli import inputs, outputs, verdicts
-    from mocap_calib_cli.progress import Reporter
-
-    verdicts.check_demands(shared)
-    outputs.check_text(output)
-    outputs.check_text(matches_out)
-    config = Config()
-    with Reporter(quiet=shared.quiet) as reporter:
-        rig, loaded, matches, frames = inputs.read_matched_recording(shared, reporter)
-        recording = loaded.recording
-        sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
-        instances = sample.positions.shape[2]  # a frame that is not in the sample may have more
-        sampled = matches.select(frames=sample_frames, instances=instances)
-        adjusted = adjust_until_stable(
-            sample,
-            rig,
-            sampled,
-            config,
-            lifted=lifted,
-            progress=reporter,
-        )
-        if matches_out is not None:
-            matches = label_all_frames(
-                recording,
-                adjusted.rig,
-                config,
-                sample_frames=sample_frames,
-                matches=adjusted.matches,
-                progress=reporter,
-            )
-            matches = finalise_identities(recording, adjusted.rig, matches, config)
-            outputs.write_text(matches_out, matches_csv(recording, matches, loaded.clocks))
-        result = conclude_without_pairs(sample, lifted, rig, adjusted, config)
-    _write_judged(result, output, shared, reporter, frames=frames)
-    context.exit(verdicts.exit_status(result.groups[0].verdict, shared))
-
-
-def _write_judged(
-    result: "CalibrationResult",
-    output: str,
-    shared: options.SharedOptions,
-    reporter: "Reporter",
-    *,
-    frames: list[int] | None,
-) -> None:
-    """Write the cameras with the verdict on them, and say the errors and the verdict.
-
-    frames: first and last for which they hold, None = all: a camera was moved.
-    """
     from mocap_calib.io.cameras.write import format_rig
     from mocap_calib.io.provenance import hold_for, provenance
+    from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.report import run_report, verdict_of_cameras
-    from mocap_calib_cli import ending, outputs, verdicts
+    from mocap_calib.stages import bundle_adjust
+    from mocap_calib_cli import ending, inputs, outputs
+    from mocap_calib_cli.screen import Reporter
 
+    ending.check_demands(typed)
+    outputs.check_text(typed.output)
+    outputs.check_text(typed.matches_out)
+    with Reporter(quiet=typed.quiet) as reporter:
+        rig, loaded, matches, frames = inputs.read_matched_recording(typed, reporter)
+        result, matches = bundle_adjust(
+            loaded.recording, rig, matches, device=typed.device, progress=reporter
+        )
+    if typed.matches_out is not None:
+        table = matches_csv(loaded.recording, matches, loaded.clocks)
+        outputs.write_text(typed.matches_out, table)
     (group,) = result.groups
     report = run_report(group, result)
     judged = verdict_of_cameras(report)
-    if frames is not None:
+    if frames is not None:  # a camera was moved
         judged = hold_for(judged, frames)
-    source = provenance("adjust", **judged)
-    (content,) = format_rig(group.rig, "mocap-calib", source).files.values()
-    outputs.write_text(output, [content])
+    (content,) = format_rig(group.rig, "mocap-calib", provenance("adjust", **judged)).files.values()
+    outputs.write_text(typed.output, [content])
     reporter.say("")
     reporter.show(ending.camera_table(report))
     reporter.say(*ending.describe_rig(report))
-    place = "adjusted cameras" if output == options.STDIO else output
-    verdicts.conclude(reporter, group.verdict, place, shared, reasons=report["verdict"]["reasons"])
+    place = "adjusted cameras" if typed.output == options.STDIO else typed.output
+    ending.conclude(reporter, group.verdict, place, typed, reasons=report["verdict"]["reasons"])
+    return ending.exit_status(group.verdict, typed)

@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mocap_calib_cli import options, values
-from mocap_calib_cli.numbers import COUNT
+from mocap_calib_cli import option_files, options, values
+from mocap_calib_cli.commands.run import command as run
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
     from mocap_calib.compute.parallel import Processes
     from mocap_calib.job.steps import CalibrationRequest, Job
     from mocap_calib.results import CalibrationResult
-    from mocap_calib_cli.progress import Reporter
-    from mocap_calib_cli.screen import Table
+    from mocap_calib_cli.screen import Reporter, Table
 
     Calibrate = Callable[[Job], CalibrationResult]
     # a recording, and a call that returns its result or raises what calibrating it raised
@@ -26,38 +25,34 @@ if TYPE_CHECKING:
 
 Outcome = dict[str, Any]
 
+# options that a recording may have for itself
+OF_RECORDINGS = frozenset({"keypoints", "cameras", *options.CALIBRATION}) - {
+    *options.VERDICT,
+    "scheduler",
+    "quiet",
+}
+
 _REFUSED = "refused"  # stands for the verdict where files or data do not allow a calibration
 
 
-@click.command(name="batch")
-@options.output_folder("Folder to write: OUT/NAME of recording NAME.")
-@click.argument(
-    "recordings", nargs=-1, required=True, type=values.RECORDINGS, metavar="RECORDINGS..."
-)
-@options.shared_options(
-    *options.CALIBRATION,
-    cameras=click.option(
-        "--cameras",
-        default="",
-        show_default=False,
-        type=values.ANY_PATH,
-        metavar="INTRINSICS",
-        help="As for `run`; first looked for in each recording's folder, then as a path for all.",
+@options.command(
+    "batch",
+    options.output_folder("Folder to write: OUT/NAME of recording NAME."),
+    click.Argument(
+        ["recordings"], nargs=-1, required=True, type=values.RECORDINGS, metavar="RECORDINGS..."
     ),
+    *options.calibration(
+        "As for `run`; first looked for in each recording's folder, then as a path for all."
+    ),
+    click.Option(
+        ["--jobs"],
+        type=values.COUNT,
+        default=1,
+        help="Recordings at a time, in processes of this machine.",
+    ),
+    options.as_json("Write the summary to stdout."),
 )
-@click.option(
-    "--jobs", type=COUNT, default=1, help="Recordings at a time, in processes of this machine."
-)
-@options.as_json("Write the summary to stdout.")
-@click.pass_context
-def command(
-    context: click.Context,
-    shared: options.SharedOptions,
-    recordings: tuple[str, ...],
-    output: Path,
-    jobs: int,
-    as_json: bool,
-) -> None:
+def command(typed: options.Typed) -> int:
     """Calibrate many recordings as `run` does: one after the other, in processes, or on a cluster.
 
     RECORDINGS: a folder of keypoint files each, or a folder with such a folder named `keypoints`
@@ -73,39 +68,81 @@ def command(
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --layout body_25 --jobs 4
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
     """
-    from mocap_calib_cli import outputs, verdicts
-    from mocap_calib_cli.progress import Reporter
-    from mocap_calib_cli.recordings import make_requests
-    from mocap_calib_cli.workers import open_workers
+    from mocap_calib_cli import ending, inputs, outputs
+    from mocap_calib_cli.screen import Reporter
 
-    verdicts.check_demands(shared)
-    if shared.scheduler and jobs > 1:
+    ending.check_demands(typed)
+    if typed.scheduler and typed.jobs > 1:
         raise click.UsageError(
             "--jobs is for this machine, --scheduler for others; give one of them"
         )
-    outputs.check_folder(output)
-    requests = make_requests(context, shared, recordings, output)
+    outputs.check_folder(typed.output)
+    requests = _make_requests(typed)
+    processes = min(typed.jobs, len(requests))
     with (
-        Reporter(quiet=shared.quiet) as reporter,
-        open_workers(
-            reporter, scheduler=shared.scheduler, processes=min(jobs, len(requests))
-        ) as workers,
+        Reporter(quiet=typed.quiet) as reporter,
+        inputs.open_workers(reporter, scheduler=typed.scheduler, processes=processes) as workers,
     ):
-        batch = _Batch(reporter, len(requests), shared)
-        batch.work_off(requests, workers, elsewhere=bool(shared.scheduler))
+        batch = _Batch(reporter, len(requests), typed)
+        batch.work_off(requests, workers)
     outcomes = [batch.outcomes[request.output.name] for request in requests]
     failed = sum(outcome["status"] == "failed" for outcome in outcomes)
     counts = _count_verdicts(outcomes)
-    summary = _describe_counts(counts, total=len(outcomes), failed=failed)
     reporter.say("")
     reporter.show(_outcome_table(outcomes))
-    reporter.say(f"{summary}; results in {output}")
-    if as_json:
+    summary = _describe_counts(counts, total=len(outcomes), failed=failed)
+    reporter.say(f"{summary}; results in {typed.output}")
+    if typed.as_json:
         document = {"recordings": outcomes, "failed": failed, "verdicts": counts}
         click.echo(json.dumps(document, indent=1, allow_nan=False))
-    doubtful = any(verdicts.exit_status(outcome["rig"], shared) for outcome in outcomes)
-    wanting = any(outcome["error"] for outcome in outcomes)
-    context.exit(1 if wanting or doubtful else 0)
+    doubtful = any(ending.exit_status(outcome["rig"], typed) for outcome in outcomes)
+    return int(doubtful or any(outcome["error"] for outcome in outcomes))
+
+
+# --- which recordings there are, and the options that each has for itself
+
+
+def _make_requests(typed: options.Typed) -> "list[CalibrationRequest]":
+    """Return what is asked for of each recording; its results go to a folder of its name.
+
+    Raises FormatError for a file of options that is wrong: before any work is done.
+    """
+    from mocap_calib_cli import inputs
+
+    requests = []
+    for name, folder in _name_recordings(typed.recordings).items():
+        keypoints, cameras = folder / "keypoints", folder / typed.cameras
+        paths = (str(keypoints if keypoints.is_dir() else folder),)
+        found: dict[str, Any] = {"keypoints": paths}
+        if typed.cameras and cameras.exists():
+            found["cameras"] = str(cameras)
+        texts: dict[str, Any] = {"keypoints": paths}
+        if (folder / option_files.USUAL_NAME).is_file():
+            own = option_files.read_file(folder / option_files.USUAL_NAME, click.Context(run))
+            holds = OF_RECORDINGS - typed.texts.keys()
+            for known, read in zip((found, texts), own, strict=True):
+                known.update({name: value for name, value in read.items() if name in holds})
+        asked = typed.replace(found, texts)
+        requests.append(inputs.calibration_request(asked, typed.output / name))
+    return requests
+
+
+def _name_recordings(recordings: Iterable[str]) -> dict[str, Path]:
+    """Return the folder of each recording, by the name that its results will have."""
+    from mocap_calib.errors import MismatchError
+
+    found: dict[str, Path] = {}
+    for path in map(Path, recordings):
+        name = path.resolve().name
+        if name in found:
+            raise MismatchError(
+                "",
+                "recordings of different names",
+                f"{found[name]} and {path}",
+                "rename one, or call batch for each",
+            )
+        found[name] = path
+    return found
 
 
 # --- what becomes of them
@@ -114,28 +151,24 @@ def command(
 class _Batch:
     """Calibrates recordings, and keeps what has become of each."""
 
-    def __init__(self, reporter: "Reporter", total: int, shared: options.SharedOptions) -> None:
+    def __init__(self, reporter: "Reporter", total: int, typed: options.Typed) -> None:
         self.reporter = reporter
         self.total = total
-        self.shared = shared
+        self.typed = typed
         self.outcomes: dict[str, Outcome] = {}
 
     def work_off(
         self,
         requests: "Iterable[CalibrationRequest]",
         workers: "Cluster | Processes | None",
-        *,
-        elsewhere: bool,
     ) -> None:
-        """Calibrate what is not finished; a failure is one recording's own.
-
-        elsewhere: the workers cannot reach the folder of results.
-        """
+        """Calibrate what is not finished; a failure is one recording's own."""
         from mocap_calib.job.steps import calibrate_job, calibrate_job_resumably, write_results
 
         self.reporter("batch", 0, self.total)
         jobs = self._read_unfinished(requests)
-        calibrate = calibrate_job if elsewhere else calibrate_job_resumably
+        # the workers of a scheduler cannot reach the folder of results
+        calibrate = calibrate_job if self.typed.scheduler else calibrate_job_resumably
         if workers is None:
             calibrated = _calibrate_one_by_one(calibrate, jobs)
         else:
@@ -174,7 +207,7 @@ class _Batch:
     ) -> None:
         """Note what was found of the largest group, and what of it could not be had."""
         from mocap_calib.errors import count
-        from mocap_calib_cli.verdicts import conclude
+        from mocap_calib_cli.ending import conclude
 
         name = request.output.name
         verdict = report["verdict"]
@@ -203,7 +236,7 @@ class _Batch:
             self.reporter,
             verdict["rig"],
             request.output,
-            self.shared,
+            self.typed,
             reasons=verdict["reasons"],
         )
         if complaint:
@@ -216,7 +249,7 @@ class _Batch:
         An error of the program also keeps its traceback; neither stops the other recordings.
         """
         from mocap_calib.errors import MocapCalibError
-        from mocap_calib_cli.mistakes import explain
+        from mocap_calib_cli.main import explain
 
         line = explain(error)
         if line is None:

@@ -8,17 +8,19 @@ import click
 from mocap_calib_cli import options, values
 
 
-@click.command(name="evaluate")
-@click.argument("rig", type=values.RIG, metavar="CAMERAS")
-@click.option(
-    "--reference",
-    required=True,
-    type=values.REFERENCE,
-    metavar="REFERENCE",
-    help="File with the reference calibration; - reads stdin.",
+@options.command(
+    "evaluate",
+    click.Argument(["rig"], type=values.RIG, metavar="CAMERAS"),
+    click.Option(
+        ["--reference"],
+        required=True,
+        type=values.REFERENCE,
+        metavar="REFERENCE",
+        help="File with the reference calibration; - reads stdin.",
+    ),
+    options.as_json("Figures as JSON instead of a table."),
 )
-@options.as_json("Figures as JSON instead of a table.")
-def command(rig: str, reference: str, as_json: bool) -> None:
+def command(typed: options.Typed) -> None:
     """Compare CAMERAS with a reference calibration.
 
     E_R and E_t are the errors of each pair of cameras in degrees: of its relative rotation, and of
@@ -35,12 +37,12 @@ def command(rig: str, reference: str, as_json: bool) -> None:
     from mocap_calib.verdict.evaluation import evaluate, evaluation_to_dict
     from mocap_calib_cli import inputs
 
-    found, found_file = inputs.read_rig(rig, "CAMERAS")
-    expected, expected_file = inputs.read_rig(reference, "--reference")
+    found, found_file = inputs.read_rig(typed.rig, "CAMERAS")
+    expected, expected_file = inputs.read_rig(typed.reference, "--reference")
     for note in (*found_file.notes, *expected_file.notes):
         click.echo(note, err=True)
     figures = evaluation_to_dict(evaluate(found, expected))
-    if as_json:
+    if typed.as_json:
         click.echo(json.dumps(figures, indent=1, allow_nan=False))
     else:
         click.echo("\n".join(_describe(figures)))

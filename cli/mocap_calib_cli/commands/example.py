@@ -1,15 +1,11 @@
 """mocap-calib example: recordings to begin with."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from mocap_calib.synthetic.config import EXAMPLES
-from mocap_calib_cli import options
-
-if TYPE_CHECKING:
-    from click.shell_completion import CompletionItem
+from mocap_calib_cli import options, values
 
 _ABOUT = {
     "people": "two people who walk about and gesture, four cameras",
@@ -18,38 +14,28 @@ _ABOUT = {
 }
 
 
-class _Name(click.ParamType[str]):
-    """The name of an example."""
-
-    name = "name"
-
-    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the name. Raises click's BadParameter."""
-        if value not in EXAMPLES:
-            self.fail(f"expected one of {', '.join(EXAMPLES)}, found {value}", param, ctx)
-        return value
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> "list[CompletionItem]":
-        """Return the names that begin as what was typed."""
-        from click.shell_completion import CompletionItem
-
-        names = (name for name in EXAMPLES if name.startswith(incomplete))
-        return [CompletionItem(name, help=_ABOUT[name]) for name in names]
+def _known(name: str) -> str:
+    """Return the name of an example. Raises ValueError."""
+    if name not in EXAMPLES:
+        raise ValueError(name)
+    return name
 
 
-@click.command(name="example")
-@click.argument("name", required=False, type=_Name())
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Folder to write; made when missing.  [default: NAME]",
+_NAME = values.Written("[NAME]", f"one of {', '.join(EXAMPLES)}", _known, offers=lambda: _ABOUT)
+
+
+@options.command(
+    "example",
+    click.Argument(["name"], required=False, type=_NAME),
+    click.Option(
+        ["-o", "--output"],
+        type=values.FOLDER,
+        metavar="DIR",
+        help="Folder to write; made when missing.  [default: NAME]",
+    ),
+    "quiet",
 )
-@options.shared_options("quiet")
-def command(shared: options.SharedOptions, name: str | None, output: Path | None) -> None:
+def command(typed: options.Typed) -> None:
     """Lay out an example recording; without NAME, list those that there are.
 
     These are simulated recordings with keypoints, intrinsics, the true cameras, and a README with
@@ -61,23 +47,22 @@ def command(shared: options.SharedOptions, name: str | None, output: Path | None
       mocap-calib example
       mocap-calib example dog -o dog
     """
-    if name is None:
+    if typed.name is None:
         for known, about in _ABOUT.items():
             click.echo(f"{known:8}{about}")
         return
     from mocap_calib.io.results.scene import check_own_files, scene_files, write_scene
     from mocap_calib.synthetic import simulate
     from mocap_calib_cli.commands.simulate import format_command
-    from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.screen import Reporter
 
-    folder = output or Path(name)
-    scene = simulate(EXAMPLES[name])
-    made_by = format_command(EXAMPLES[name])
+    config = EXAMPLES[typed.name]
+    folder = typed.output or Path(typed.name)
+    scene, made_by = simulate(config), format_command(config)
     check_own_files(folder, scene_files(scene, made_by))
     write_scene(folder, scene, made_by)
-    reporter = Reporter(quiet=shared.quiet)
-    reporter.say(
-        f"{folder}: {_ABOUT[name]}, {EXAMPLES[name].frames} frames",
+    Reporter(quiet=typed.quiet).say(
+        f"{folder}: {_ABOUT[typed.name]}, {config.frames} frames",
         f"{folder / 'README.md'} has three commands to run there, the first to begin with:",
         f"  cd {folder}",
         "  mocap-calib run keypoints/ --cameras intrinsics.toml -o out",

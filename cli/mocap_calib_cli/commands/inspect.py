@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from mocap_calib_cli import options, values
+from mocap_calib_cli import options
 
 _COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
 _COLUMNS = {  # heading -> what it means
@@ -25,27 +25,21 @@ _COLUMNS = {  # heading -> what it means
 _LISTED_GAPS = 5
 
 
-@click.command(name="inspect")
-@options.shared_options(
+@options.command(
+    "inspect",
     *options.KEYPOINTS,
-    "cameras",
-    "skeleton",
-    cameras=click.option(
-        "--cameras",
-        default="",
-        show_default=False,
-        type=values.INTRINSICS,
-        metavar="INTRINSICS",
-        help="The cameras' intrinsics, to see whether they and the keypoints go together.",
+    options.intrinsics_if_any(
+        "The cameras' intrinsics, to see whether they and the keypoints go together."
     ),
+    "skeleton",
+    click.Option(
+        ["--sync"],
+        is_flag=True,
+        help="Find out whether the clocks of the cameras differ, which takes some seconds.",
+    ),
+    options.as_json("Write everything as JSON."),
 )
-@click.option(
-    "--sync",
-    is_flag=True,
-    help="Find out whether the clocks of the cameras differ, which takes some seconds.",
-)
-@options.as_json("Write everything as JSON.")
-def command(shared: options.SharedOptions, sync: bool, as_json: bool) -> None:
+def command(typed: options.Typed) -> int:
     """Say what is in KEYPOINTS, and what would make a run fail.
 
     Of each camera: frames and gaps, individuals, joints, missing points, scores; of each pair of
@@ -57,32 +51,31 @@ def command(shared: options.SharedOptions, sync: bool, as_json: bool) -> None:
       mocap-calib inspect keypoints/ --cameras intrinsics.toml
       mocap-calib inspect openpose/ --layout body_25b --json
     """
-    report = _inspect(shared)
-    if sync and not _is_critical(report):
-        _compare_clocks(report, shared)
-    if as_json:
+    report = _inspect(typed)
+    if typed.sync and not _is_critical(report):
+        _compare_clocks(report, typed)
+    if typed.as_json:
         click.echo(json.dumps(report, indent=1, allow_nan=False))
     else:
         click.echo("\n".join(_describe(report)))
-    if _is_critical(report):
-        raise click.exceptions.Exit(1)
+    return int(_is_critical(report))
 
 
-def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
+def _inspect(typed: options.Typed) -> dict[str, Any]:
     """Return what the files hold, and the findings."""
     from mocap_calib.inspection import Finding, fill_image_sizes, find_problems, inspect_views
     from mocap_calib.inspection.finding import InspectConfig
     from mocap_calib.io.keypoints.filled_table import describe_filled
     from mocap_calib.io.keypoints.read import read_what_can
     from mocap_calib.recording.joints import fit_vocabulary
-    from mocap_calib_cli import inputs, texts
+    from mocap_calib_cli import inputs
 
     config = InspectConfig()
-    views, errors = read_what_can(shared.keypoints, shared.format, texts.read_options(shared))
-    file = inputs.load_camera_file(shared.cameras, "--cameras") if shared.cameras else None
+    views, errors = read_what_can(typed.keypoints, typed.format, inputs.read_options(typed))
+    file = inputs.load_camera_file(typed.cameras, "--cameras") if typed.cameras else None
     cameras, notes = (file.cameras, file.notes) if file else ((), ())
     names = (name for view in views for name in view.keypoints)
-    skeleton, aliases = fit_vocabulary(names, shared.skeleton)
+    skeleton, aliases = fit_vocabulary(names, typed.skeleton)
     report = inspect_views(fill_image_sizes(views, cameras), skeleton, aliases, config)
     problems = find_problems(
         views, report, cameras=cameras, skeleton=skeleton, aliases=aliases, config=config
@@ -104,7 +97,7 @@ def _is_critical(report: dict[str, Any]) -> bool:
     return any(finding["level"] == "CRITICAL" for finding in report["findings"])
 
 
-def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> None:
+def _compare_clocks(report: dict[str, Any], typed: options.Typed) -> None:
     """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
     from mocap_calib.clocks.estimate import estimate_clocks
     from mocap_calib.config import Config
@@ -116,8 +109,8 @@ def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> No
     from mocap_calib.types import silent
     from mocap_calib_cli import inputs
 
-    file = inputs.load_camera_file(shared.cameras, "--cameras") if shared.cameras else None
-    recording = load_recording(inputs.keypoint_source(shared), file).recording
+    file = inputs.load_camera_file(typed.cameras, "--cameras") if typed.cameras else None
+    recording = load_recording(inputs.keypoint_source(typed), file).recording
     recording, lifter = choose_model(recording, recording.model)
     lift_sample = RememberedLift(lifter, silent)
     cameras = estimate_clocks(recording, lift_sample, {}, Config(), seed=0)

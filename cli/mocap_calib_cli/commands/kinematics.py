@@ -5,28 +5,22 @@ from pathlib import Path
 import click
 
 from mocap_calib_cli import options, values
-from mocap_calib_cli.numbers import POSITIVE
 
 
-@click.command(name="kinematics")
-@click.argument("poses", nargs=-1, required=True, type=values.POSES, metavar="POSES...")
-@options.output_folder("Folder to write the tables to; made when missing.")
-@click.option(
-    "--from",
-    "source",
-    metavar="FORMAT",
-    shell_complete=values.offer_pose_formats,
-    help="Format of POSES, where their content does not show it.",
+@options.command(
+    "kinematics",
+    click.Argument(["poses"], nargs=-1, required=True, type=values.POSES, metavar="POSES..."),
+    options.output_folder("Folder to write the tables to; made when missing."),
+    click.Option(
+        ["--from", "format"],
+        type=values.POSE_FORMAT,
+        help="Format of POSES, where their content does not show it.",
+    ),
+    options.rate_of_poses("Frames per second, where the file does not say."),
+    "skeleton",
+    "quiet",
 )
-@click.option("--fps", type=POSITIVE, help="Frames per second, where the file does not say.")
-@options.shared_options("skeleton", "quiet")
-def command(
-    shared: options.SharedOptions,
-    poses: tuple[str, ...],
-    output: Path,
-    source: str | None,
-    fps: float | None,
-) -> None:
+def command(typed: options.Typed) -> None:
     """Measure joint angles, speeds, contacts with the floor, and bone lengths of 3D POSES.
 
     POSES: a file of 3D poses in any format, files of one individual each, or the folder of a run.
@@ -47,22 +41,22 @@ def command(
     from mocap_calib.kinematics import define, measure
     from mocap_calib.recording.joints import fit_vocabulary
     from mocap_calib_cli import outputs
-    from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.screen import Reporter
 
-    check_sources(poses)
-    outputs.check_folder(output)
-    file = load_pose_sources([Path(each) for each in poses], source, fps)
-    names = file.poses.keypoints if shared.skeleton else file.spelt
-    definitions = define(names, *fit_vocabulary(names, shared.skeleton))
+    check_sources(typed.poses)
+    outputs.check_folder(typed.output)
+    file = load_pose_sources([Path(each) for each in typed.poses], typed.format, typed.fps)
+    names = file.poses.keypoints if typed.skeleton else file.spelt
+    definitions = define(names, *fit_vocabulary(names, typed.skeleton))
     rate = file.rate if file.rate > 0 else None
     found = measure(file.poses, rate, definitions)
-    write_kinematics(output, found, file.individuals)
+    write_kinematics(typed.output, found, file.individuals)
     frames, individuals = file.poses.positions.shape[:2]
-    Reporter(quiet=shared.quiet).say(
+    Reporter(quiet=typed.quiet).say(
         *file.notes,
         *found.notes,
         f"{count(individuals, 'individual')} in {count(frames, 'frame')}: "
         f"{count(len(found.bones), 'bone')}, {count(len(found.angles), 'angle')}, "
         f"{count(len(found.speeds), 'speed')}, {count(len(found.contacts), 'contact')}; "
-        f"results in {output}",
+        f"results in {typed.output}",
     )

@@ -10,9 +10,8 @@ from mocap_calib_cli import options
 _ERRORS = {"joint_3d": "3D error", "steered_2d": "steered", "completed_2d": "completed"}
 
 
-@click.command(name="models")
-@options.as_json("Write the whole model cards.")
-def command(as_json: bool) -> None:
+@options.command("models", options.as_json("Write the whole model cards."))
+def command(typed: options.Typed) -> None:
     """List the shipped models: their joints, training data, terms, and errors.
 
     `run` takes the one that knows most of the recording's joint names. Errors are measured on poses
@@ -29,7 +28,7 @@ def command(as_json: bool) -> None:
     from mocap_calib_cli.screen import format_number, format_table
 
     cards = models()
-    if as_json:
+    if typed.as_json:
         click.echo(json.dumps(cards, indent=1))
         return
     rows = []

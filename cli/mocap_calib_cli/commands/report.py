@@ -9,35 +9,30 @@ from mocap_calib_cli import options, values
 
 if TYPE_CHECKING:
     from mocap_calib.html_report.source import Reference
+    from mocap_calib.job.reports import ResultsFolder
 
 
-@click.command(name="report")
-@click.argument("results", type=values.ANY_PATH, metavar="OUT")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="The page. [default: report.html in OUT, and in the folder of each further group]",
-)
-@click.option(
-    "--reference",
-    type=values.RIG,
-    metavar="CAMERAS",
-    help="File or folder with another rig of these cameras, to be laid over this one.",
-)
-@options.shared_options(
-    "keypoints",
+@options.command(
+    "report",
+    click.Argument(["results"], type=values.ANY_PATH, metavar="OUT"),
+    click.Option(
+        ["-o", "--output"],
+        type=values.FILE,
+        metavar="FILE",
+        help="The page. [default: report.html in OUT, and in the folder of each further group]",
+    ),
+    click.Option(
+        ["--reference"],
+        type=values.RIG,
+        metavar="CAMERAS",
+        help="File or folder with another rig of these cameras, to be laid over this one.",
+    ),
+    click.Argument(["keypoints"], nargs=-1, type=values.KEYPOINTS, metavar="[KEYPOINTS]..."),
     *options.READING,
     "skeleton",
     "quiet",
-    keypoints=click.argument(
-        "keypoints", nargs=-1, type=values.KEYPOINTS, metavar="[KEYPOINTS]..."
-    ),
 )
-def command(
-    shared: options.SharedOptions, results: str, output: Path | None, reference: str | None
-) -> None:
+def command(typed: options.Typed) -> None:
     """Show the results of `run` in the folder OUT: one HTML file, which needs no network.
 
     `run` writes the same. KEYPOINTS: those of the run, where they are no longer where it read
@@ -51,29 +46,47 @@ def command(
       mocap-calib report out --reference board.toml -o compared.html
       mocap-calib report out keypoints/
     """
+    from mocap_calib.html_report.source import Reference
     from mocap_calib.io.results.group import PAGE
     from mocap_calib.job.reports import open_results
-    from mocap_calib_cli import outputs
-    from mocap_calib_cli.progress import Reporter
-    from mocap_calib_cli.results_page import draw_results
+    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli.screen import Reporter
 
-    first = open_results(Path(results))
-    whole = output is None and first.number == 0
+    first = open_results(Path(typed.results))
+    whole = typed.output is None and first.number == 0
     folders = [first, *(map(open_results, first.group_paths[1:]) if whole else ())]
     for folder in folders:
-        outputs.check_file(output or folder.path / PAGE)
-    other = _read_reference(reference)
-    reporter = Reporter(quiet=shared.quiet)
+        outputs.check_file(typed.output or folder.path / PAGE)
+    path = typed.reference
+    reference = Reference(path, inputs.read_rig(path, "--reference")[0]) if path else None
+    reporter = Reporter(quiet=typed.quiet)
     for folder in folders:
-        reporter.say(*draw_results(folder, shared, output, other))
+        reporter.say(*draw_results(folder, typed, typed.output, reference))
 
 
-def _read_reference(path: str | None) -> "Reference | None":
-    """Return the rig that is laid over that of the results. Raises FormatError."""
-    from mocap_calib.html_report.source import Reference
+def draw_results(
+    folder: "ResultsFolder",
+    typed: options.Typed,
+    output: Path | None = None,
+    reference: "Reference | None" = None,
+) -> tuple[str, ...]:
+    """Write the page of results; return what it says of itself, and where it is, a line each.
+
+    typed: how keypoints are read, where that is not as run.json says.
+    output: None: report.html in the folder, and its hash in run.json.
+
+    Raises FormatError and MismatchError.
+    """
+    from mocap_calib.io.results.group import PAGE
+    from mocap_calib.job.reports import note_page, read_source, write_page
     from mocap_calib_cli import inputs
 
-    if path is None:
-        return None
-    rig, _ = inputs.read_rig(path, "--reference")
-    return Reference(path, rig)
+    read = inputs.options_of_reading(folder.run.get("reading", {}), typed)
+    keypoints = inputs.keypoint_source(read) if read.keypoints else None
+    insist = bool(typed.keypoints)
+    source = read_source(folder, keypoints, insist=insist, reference=reference)
+    path = output or folder.path / PAGE
+    write_page(source, path)
+    if output is None:
+        note_page(folder)
+    return (*source.notes, f"report in {path}")

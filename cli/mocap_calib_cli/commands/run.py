@@ -2,46 +2,35 @@
 
 import gc
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from mocap_calib_cli import option_files, options, values
+from mocap_calib_cli import option_files, options
 
 if TYPE_CHECKING:
     from mocap_calib.job.results import WrittenGroup
-    from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.screen import Reporter
 
 _NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video CAM=FILE -o overlay"
 
 
-@click.command(name="run", cls=option_files.ConfigurableCommand)
-@options.output_folder("Folder to write; made when missing.")
-@options.shared_options(
+@options.command(
+    "run",
+    options.output_folder("Folder to write; made when missing."),
     "keypoints",
-    *options.CALIBRATION,
-    cameras=click.option(
-        "--cameras",
-        default="",
-        show_default=False,
-        type=values.ANY_PATH,
-        metavar="INTRINSICS",
-        help="File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
-        "- reads stdin. Without it they are estimated from the recording.",
+    *options.calibration(
+        "File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
+        "- reads stdin. Without it they are estimated from the recording."
     ),
+    options.as_json("Write the content of run.json to stdout as well."),
+    option_files.CONFIG,
+    option_files.SAVE_CONFIG,
 )
-@options.as_json("Write the content of run.json to stdout as well.")
-@option_files.option_files
-@click.pass_context
-def command(
-    context: click.Context,
-    shared: options.SharedOptions,
-    output: Path,
-    as_json: bool,
-    save_config: Path | None,
-) -> None:
+def command(typed: options.Typed) -> int:
     """Calibrate the cameras that saw KEYPOINTS, find who is who, and triangulate the poses.
 
     KEYPOINTS: a folder with a file or a folder per camera, or files, or name=path pairs, or a
@@ -73,61 +62,74 @@ def command(
     """
     gc.disable()  # what is imported stays: to look for garbage among it takes a seventh of the time
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
-    from mocap_calib_cli import describe, inputs, outputs, verdicts
-    from mocap_calib_cli.interrupted import say_how_to_go_on
-    from mocap_calib_cli.progress import Reporter
-    from mocap_calib_cli.workers import open_workers
+    from mocap_calib_cli import describe, ending, inputs, outputs
+    from mocap_calib_cli.screen import Reporter
 
     gc.freeze()
     gc.enable()
-    verdicts.check_demands(shared)
-    outputs.check_folder(output)
-    request = inputs.calibration_request(shared, output)
-    if save_config:
-        option_files.save_options(context, save_config)
+    ending.check_demands(typed)
+    outputs.check_folder(typed.output)
+    request = inputs.calibration_request(typed, typed.output)
+    if typed.save_config:
+        option_files.save_options(click.get_current_context(), typed.save_config)
     with (
-        Reporter(quiet=shared.quiet) as reporter,
-        open_workers(reporter, scheduler=shared.scheduler) as workers,
+        Reporter(quiet=typed.quiet) as reporter,
+        inputs.open_workers(reporter, scheduler=typed.scheduler) as workers,
     ):
         job = read_job(request)
         reporter.say(*describe.describe_recording(job.loaded.summary))
-        with say_how_to_go_on(reporter, output):
+        with _say_how_to_go_on(reporter, typed.output):
             result = calibrate_job_resumably(job, progress=reporter, mapper=workers)
     written = write_results(job, result)
 
     groups, clocks = describe.describe_groups(result), describe.describe_unknown_clocks(result)
     reporter.say("", *groups, *clocks)
     reporter.say(*describe.describe_unused_cameras(result.left_out))
-    _say_groups(reporter, written, output, shared)
-    if as_json:
+    _say_groups(reporter, written, typed)
+    if typed.as_json:
         click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
     if complaint := written[0].complaint:
         click.echo(f"mocap-calib: {complaint}", err=True)
-        context.exit(1)
-    context.exit(verdicts.exit_status(result.groups[0].verdict, shared))
+        return 1
+    return ending.exit_status(result.groups[0].verdict, typed)
+
+
+@contextmanager
+def _say_how_to_go_on(reporter: "Reporter", output: Path) -> Iterator[None]:
+    """Say on Ctrl-C what of a run is kept in the folder of its results, if anything is."""
+    from mocap_calib.errors import count
+    from mocap_calib.job.results import UNFINISHED
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = len(list((output / UNFINISHED).rglob("*.json")))
+        if kept:
+            reporter.warn(
+                f"{count(kept, 'pair')} of cameras kept in {output / UNFINISHED}: "
+                "the same command goes on from there"
+            )
+        raise
 
 
 def _say_groups(
-    reporter: "Reporter",
-    written: Sequence["WrittenGroup"],
-    output: Path,
-    shared: options.SharedOptions,
+    reporter: "Reporter", written: Sequence["WrittenGroup"], typed: options.Typed
 ) -> None:
     """Say what was found of each group of cameras, the largest last."""
     from mocap_calib.io.results.group import group_folder
-    from mocap_calib_cli import describe, ending, verdicts
+    from mocap_calib_cli import describe, ending
 
     for number in reversed(range(len(written))):  # the largest group, which counts, comes last
-        files, folder = written[number], output / group_folder(number)
+        files, folder = written[number], typed.output / group_folder(number)
         reporter.show(ending.camera_table(files.report))
         reporter.say(*ending.describe_group(files.report, folder), *files.notes)
         if number:  # what of the largest group cannot be had ends the run, in an error
             reporter.say(*describe.describe_refused(files))
-        verdicts.conclude(
+        ending.conclude(
             reporter,
             files.report["verdict"]["rig"],
             folder,
-            shared,
+            typed,
             reasons=files.report["verdict"]["reasons"],
             counts=number == 0,
             next_step=_NEXT_STEP.format(folder),

@@ -1,16 +1,14 @@
 """mocap-calib scale: set the scale of results by known lengths."""
 
-from pathlib import Path
-
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 
-@click.command(name="scale")
-@click.argument("output", type=click.Path(path_type=Path), metavar="OUT")
-@options.shared_options(*options.SCALE, "quiet")
-def command(shared: options.SharedOptions, output: Path) -> None:
+@options.command(
+    "scale", click.Argument(["output"], type=values.FILE, metavar="OUT"), *options.SCALE, "quiet"
+)
+def command(typed: options.Typed) -> None:
     """Set the scale of the results in OUT, which a run wrote, by lengths that you know.
 
     Cameras, 3D poses, run.json and report.html are rewritten, in metres. Several lengths are
@@ -27,13 +25,12 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     from mocap_calib.io.world_fields import world_fields
     from mocap_calib.job.reports import open_results
     from mocap_calib.job.scaling import scale_results
-    from mocap_calib_cli import outputs
-    from mocap_calib_cli.describe_world import describe_world
-    from mocap_calib_cli.progress import Reporter
-    from mocap_calib_cli.results_page import draw_results
-    from mocap_calib_cli.world_texts import scale_cues
+    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli.commands.report import draw_results
+    from mocap_calib_cli.ending import describe_world
+    from mocap_calib_cli.screen import Reporter
 
-    cues = scale_cues(shared)
+    output, cues = typed.output, inputs.scale_cues(typed)
     if not cues:
         raise click.UsageError(
             "expected a known length, found none; say --height, --length or --camera-distance"
@@ -42,7 +39,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
         outputs.check_folder(output)
     done = scale_results(output, cues, WorldConfig())
     said = describe_world(world_fields(done.world, "m"))
-    reporter = Reporter(quiet=shared.quiet)
+    reporter = Reporter(quiet=typed.quiet)
     reporter.say(*said, *done.notes)
     if (output / PAGE).is_file() and (output / REPORT).is_file():
-        reporter.say(*draw_results(open_results(output), options.SharedOptions()))
+        reporter.say(*draw_results(open_results(output), options.Typed({})))

@@ -1,149 +1,98 @@
 """mocap-calib simulate: a synthetic recording with truth."""
 
 from collections import Counter
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import click
 
 from mocap_calib.synthetic.config import ANIMAL_MOTION, SimulateConfig
-from mocap_calib_cli import options
-from mocap_calib_cli.numbers import COUNT, NOT_NEGATIVE, POSITIVE, SEED, SHARE, Number
-
-if TYPE_CHECKING:
-    from click.shell_completion import CompletionItem
+from mocap_calib_cli import options, values
 
 _DEFAULT = SimulateConfig()
 _FLAGS = {"noise_px": "--noise", "arc_deg": "--arc"}  # where the field is not called as the option
+_FIELDS = {flag: name for name, flag in _FLAGS.items()}
 _KINDS = ("people", *ANIMAL_MOTION)
 _SAID_APART = ("people", "animals", "size", "shuffle", "seed")
 
 
-class _Kind(click.ParamType[tuple[str, int]]):
-    """A kind of body and a number of them, `quadruped:2`."""
-
-    name = "kind"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, int]:
-        """Return the kind and the number. Raises click's BadParameter."""
-        kind, colon, number = value.partition(":")
-        if kind not in _KINDS:
-            found = kind or "nothing"
-            self.fail(f"expected one of {', '.join(_KINDS)}, found {found}", param, ctx)
-        if colon and not number:
-            self.fail(f"expected a number after the colon, as {kind}:2, found none", param, ctx)
-        return kind, COUNT.convert(number, param, ctx) if colon else 1
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> "list[CompletionItem]":
-        """Return the kinds that begin as what was typed."""
-        from click.shell_completion import CompletionItem
-
-        return [CompletionItem(kind) for kind in _KINDS if kind.startswith(incomplete)]
+def _read_kind(text: str) -> tuple[str, int]:
+    """Return the kind of `quadruped:2`, and the number. Raises click's BadParameter."""
+    kind, colon, number = text.partition(":")
+    if kind not in _KINDS:
+        raise click.BadParameter(f"expected one of {', '.join(_KINDS)}, found {kind or 'nothing'}")
+    if colon and not number:
+        raise click.BadParameter(f"expected a number after the colon, as {kind}:2, found none")
+    return kind, values.COUNT.convert(number, None, None) if colon else 1
 
 
-@click.command(
-    name="simulate",
-    context_settings={"show_default": True},
+_KIND = values.Written("KIND[:N]", read=_read_kind, offers=lambda: dict.fromkeys(_KINDS, ""))
+
+
+def _option(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> click.Option:
+    """Return an option whose default is that of the scene."""
+    name = _FIELDS.get(flag, flag.removeprefix("--").replace("-", "_"))
+    default = getattr(_DEFAULT, name)
+    return click.Option([flag, name], type=kind, default=default, help=help, **more)
+
+
+@options.command(
+    "simulate",
+    click.Option(
+        ["-o", "--output"],
+        type=values.FOLDER,
+        required=True,
+        metavar="OUT",
+        help="Folder to write; made when missing.",
+    ),
+    _option("--cameras", values.COUNT, "Number of cameras around the room."),
+    click.Option(
+        ["--people"],
+        type=values.COUNT,
+        help="Number of people who walk about and gesture.  [default: 3; with --kind: none]",
+    ),
+    click.Option(
+        ["--kind"],
+        type=_KIND,
+        multiple=True,
+        help="Who goes about, and how many: people, quadruped (a dog), rodent (a rat) or bird (a "
+        "pigeon); may be repeated.",
+    ),
+    _option("--frames", values.COUNT, "Length of the recording."),
+    _option("--fps", values.POSITIVE, "Frames a second."),
+    _option("--noise", values.NOT_NEGATIVE, "RMS error of a coordinate.", metavar="PIXELS"),
+    _option("--missing", values.SHARE, "Share of joints that are not found."),
+    _option("--outliers", values.SHARE, "Share of joints that are found somewhere else."),
+    _option("--false-detections", values.SHARE, "Share of images with a detection of nobody."),
+    _option(
+        "--distortion", click.Choice(["none", "brown", "fisheye"]), "Distortion of the lenses."
+    ),
+    _option(
+        "--layout",
+        click.Choice(["coco17", "all"]),
+        "Joints of people that the detector finds; of animals it finds all.",
+    ),
+    _option(
+        "--radius",
+        values.POSITIVE,
+        "From the middle to the cameras.  [default: 4.5; less for animals alone]",
+        metavar="METRES",
+    ),
+    _option(
+        "--arc",
+        values.Number(min=0, max=360),
+        "Over which cameras are spread.",
+        metavar="DEGREES",
+    ),
+    click.Option(
+        ["--shuffle/--no-shuffle"],
+        default=_DEFAULT.shuffle,
+        help="Put the detections of each image in random order.",
+    ),
+    _option("--seed", values.SEED, "The same seed gives the same bytes."),
+    "quiet",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    required=True,
-    metavar="OUT",
-    help="Folder to write; made when missing.",
-)
-@click.option(
-    "--cameras", type=COUNT, default=_DEFAULT.cameras, help="Number of cameras around the room."
-)
-@click.option(
-    "--people",
-    type=COUNT,
-    help="Number of people who walk about and gesture.  [default: 3; with --kind: none]",
-)
-@click.option(
-    "--kind",
-    "kinds",
-    type=_Kind(),
-    multiple=True,
-    metavar="KIND[:N]",
-    help="Who goes about, and how many: people, quadruped (a dog), rodent (a rat) or bird (a "
-    "pigeon); may be repeated.",
-)
-@click.option("--frames", type=COUNT, default=_DEFAULT.frames, help="Length of the recording.")
-@click.option("--fps", type=POSITIVE, default=_DEFAULT.fps, help="Frames a second.")
-@click.option(
-    "--noise",
-    "noise_px",
-    type=NOT_NEGATIVE,
-    default=_DEFAULT.noise_px,
-    metavar="PIXELS",
-    help="RMS error of a coordinate.",
-)
-@click.option(
-    "--missing", type=SHARE, default=_DEFAULT.missing, help="Share of joints that are not found."
-)
-@click.option(
-    "--outliers",
-    type=SHARE,
-    default=_DEFAULT.outliers,
-    help="Share of joints that are found somewhere else.",
-)
-@click.option(
-    "--false-detections",
-    type=SHARE,
-    default=_DEFAULT.false_detections,
-    help="Share of images with a detection of nobody.",
-)
-@click.option(
-    "--distortion",
-    type=click.Choice(["none", "brown", "fisheye"]),
-    default=_DEFAULT.distortion,
-    help="Distortion of the lenses.",
-)
-@click.option(
-    "--layout",
-    type=click.Choice(["coco17", "all"]),
-    default=_DEFAULT.layout,
-    help="Joints of people that the detector finds; of animals it finds all.",
-)
-@click.option(
-    "--radius",
-    type=POSITIVE,
-    metavar="METRES",
-    help="From the middle to the cameras.  [default: 4.5; less for animals alone]",
-)
-@click.option(
-    "--arc",
-    "arc_deg",
-    type=Number(min=0, max=360),
-    default=_DEFAULT.arc_deg,
-    metavar="DEGREES",
-    help="Over which cameras are spread.",
-)
-@click.option(
-    "--shuffle/--no-shuffle",
-    default=_DEFAULT.shuffle,
-    help="Put the detections of each image in random order.",
-)
-@click.option(
-    "--seed",
-    type=SEED,
-    default=_DEFAULT.seed,
-    help="The same seed gives the same bytes.",
-)
-@options.shared_options("quiet")
-def command(
-    shared: options.SharedOptions,
-    output: Path,
-    people: int | None,
-    kinds: tuple[tuple[str, int], ...],
-    **fields: Any,
-) -> None:
+def command(typed: options.Typed) -> None:
     """Make a recording of synthetic people or animals with its truth.
 
     These are keypoints (COCO), cameras, who is who, and the true 3D poses.
@@ -157,15 +106,17 @@ def command(
     from mocap_calib.errors import count
     from mocap_calib.io.results.scene import describe_kinds, write_scene
     from mocap_calib.synthetic import simulate
-    from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.screen import Reporter
 
-    config = SimulateConfig(**fields, **_count_kinds(people, kinds))
+    bodies = _count_kinds(typed.people, typed.kind)
+    fields = {name: value for name, value in vars(typed).items() if hasattr(_DEFAULT, name)}
+    config = replace(_DEFAULT, **(fields | bodies))
     scene = simulate(config)
-    write_scene(output, scene, format_command(config))
+    write_scene(typed.output, scene, format_command(config))
     detections = int((scene.identity >= 0).sum())
-    reporter = Reporter(quiet=shared.quiet)
+    reporter = Reporter(quiet=typed.quiet)
     reporter.say(
-        f"{output}: {count(config.cameras, 'camera')}, {count(config.frames, 'frame')}, "
+        f"{typed.output}: {count(config.cameras, 'camera')}, {count(config.frames, 'frame')}, "
         f"{describe_kinds(scene.kinds)}, {count(detections, 'detection')} of them"
     )
     if len(set(scene.kinds)) > 1:

@@ -5,14 +5,13 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.training import PairsConfig, TrainConfig
 from mocap_calib_cli import options, values
-from mocap_calib_cli.numbers import COUNT, POSITIVE, SHARE, WholeNumber
 
 if TYPE_CHECKING:
     from mocap_calib.training.model import Model
@@ -31,85 +30,82 @@ def _check_width(_: click.Context, __: click.Parameter, value: int) -> int:
     return value
 
 
-@click.command(name="train")
-@click.argument("poses", nargs=-1, type=click.Path(path_type=Path), metavar="[POSES...]")
-@options.output_file("Weights to write (.safetensors); the model card is inside.")
-@click.option(
-    "--from",
-    "calibrated",
-    type=click.Path(path_type=Path),
-    metavar="POSES3D.h5",
-    help="Poses that a run found, for a model of that species.",
+def _size(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> click.Option:
+    """Return an option whose default is that of the training."""
+    default = getattr(_DEFAULT, flag.removeprefix("--").replace("-", "_"))
+    return click.Option([flag], type=kind, default=default, help=help, **more)
+
+
+_SIZES = (
+    _size("--steps", values.COUNT, "Batches to train on."),
+    _size("--batch", values.COUNT, "Poses in a batch."),
+    _size(
+        "--width",
+        values.WholeNumber(min=ENCODER_HEADS),
+        f"Size of a token; a multiple of {ENCODER_HEADS}.",
+        callback=_check_width,
+    ),
+    _size("--layers", values.COUNT, "Layers of the encoder."),
+    _size("--learning-rate", values.POSITIVE, "Peak of the schedule."),
 )
-@click.option(
-    "--skeleton",
-    metavar="NAME|FILE.yaml",
-    shell_complete=values.offer_skeletons,
-    help="Vocabulary: a shipped skeleton or one of your own. "
-    "[default: people; with --from: its own joints]",
+
+
+@options.command(
+    "train",
+    click.Argument(["poses"], nargs=-1, type=values.FILE, metavar="[POSES...]"),
+    options.output_file("Weights to write (.safetensors); the model card is inside."),
+    click.Option(
+        ["--from", "calibrated"],
+        type=values.FILE,
+        metavar="POSES3D.h5",
+        help="Poses that a run found, for a model of that species.",
+    ),
+    click.Option(
+        ["--skeleton"],
+        type=values.SKELETON,
+        help="Vocabulary: a shipped skeleton or one of your own. "
+        "[default: people; with --from: its own joints]",
+    ),
+    click.Option(
+        ["--architecture"],
+        type=click.Choice(["factorised", "token"]),
+        default="factorised",
+        help="Ours, or the paper's with its rotation token.",
+    ),
+    click.Option(
+        ["--up"],
+        multiple=True,
+        metavar="AXIS",
+        help="What points up in the poses: +z (default), -y, ...; once for all files, or once for "
+        "each.",
+    ),
+    click.Option(
+        ["--procedural"],
+        type=values.SHARE,
+        metavar="SHARE",
+        help="Share of bodies made from the skeleton's file. [default: half beside POSES, all "
+        "without]",
+    ),
+    *_SIZES,
+    "seed",
+    "device",
+    "quiet",
+    click.Option(["--threads"], type=values.COUNT, default=1, help="Threads of torch."),
+    click.Option(
+        ["--data"],
+        default="",
+        metavar="TEXT",
+        help="For the model card: what the poses are and whom to credit.",
+    ),
+    click.Option(
+        ["--terms"],
+        default="",
+        metavar="TEXT",
+        help="For the model card: the terms of the data.",
+    ),
+    options.as_json("Write the held-out errors to stdout."),
 )
-@click.option(
-    "--architecture",
-    type=click.Choice(["factorised", "token"]),
-    default="factorised",
-    help="Ours, or the paper's with its rotation token.",
-)
-@click.option(
-    "--up",
-    multiple=True,
-    metavar="AXIS",
-    help="What points up in the poses: +z (default), -y, ...; once for all files, or once for "
-    "each.",
-)
-@click.option(
-    "--procedural",
-    type=SHARE,
-    metavar="SHARE",
-    help="Share of bodies made from the skeleton's file. [default: half beside POSES, all without]",
-)
-@click.option("--steps", type=COUNT, default=_DEFAULT.steps, help="Batches to train on.")
-@click.option("--batch", type=COUNT, default=_DEFAULT.batch, help="Poses in a batch.")
-@click.option(
-    "--width",
-    type=WholeNumber(min=ENCODER_HEADS),
-    callback=_check_width,
-    default=_DEFAULT.width,
-    help=f"Size of a token; a multiple of {ENCODER_HEADS}.",
-)
-@click.option("--layers", type=COUNT, default=_DEFAULT.layers, help="Layers of the encoder.")
-@click.option(
-    "--learning-rate",
-    type=POSITIVE,
-    default=_DEFAULT.learning_rate,
-    help="Peak of the schedule.",
-)
-@options.shared_options("seed", "device", "quiet")
-@click.option("--threads", type=COUNT, default=1, help="Threads of torch.")
-@click.option(
-    "--data",
-    default="",
-    metavar="TEXT",
-    help="For the model card: what the poses are and whom to credit.",
-)
-@click.option(
-    "--terms", default="", metavar="TEXT", help="For the model card: the terms of the data."
-)
-@options.as_json("Write the held-out errors to stdout.")
-def command(
-    shared: options.SharedOptions,
-    output: Path,
-    poses: tuple[Path, ...],
-    calibrated: Path | None,
-    skeleton: str | None,
-    up: tuple[str, ...],
-    procedural: float | None,
-    architecture: str,
-    threads: int,
-    data: str,
-    terms: str,
-    as_json: bool,
-    **sizes: float,
-) -> None:
+def command(typed: options.Typed) -> None:
     """Train a lifter on 3D poses, on bodies made from the skeleton's file, or on both.
 
     POSES: npz files with `poses` [pose, joint, 3] and `joints`, or folders with poses3d.npz and
@@ -129,34 +125,38 @@ def command(
     from mocap_calib.training.poses import TrainingSource, load_pose_sets, load_vocabulary
     from mocap_calib.training.train import model_card, training_config
     from mocap_calib_cli import outputs
-    from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.screen import Reporter
 
-    outputs.check_file(output)
-    check_device(shared.device)
-    source = TrainingSource(poses, calibrated, skeleton, up, procedural)
+    outputs.check_file(typed.output)
+    check_device(typed.device)
+    source = TrainingSource(
+        typed.poses, typed.calibrated, typed.skeleton, typed.up, typed.procedural
+    )
     _check_source(source)
     vocabulary, settings = load_vocabulary(source)
+    is_token = typed.architecture == "token"
+    sizes = {str(option.name): getattr(typed, str(option.name)) for option in _SIZES}
     asked = {name: value for name, value in sizes.items() if value != getattr(_DEFAULT, name)}
-    if architecture == "token":
+    if is_token:
         asked = {"width": TokenConfig.width, "layers": TokenConfig.layers} | asked
-    config = replace(training_config(settings), seed=shared.seed, **asked)  # type: ignore[arg-type]
+    config = replace(training_config(settings), seed=typed.seed, **asked)
     training, testing = load_pose_sets(source, vocabulary, config)
-    with torch_threads(threads), Reporter(quiet=shared.quiet) as reporter:
-        train = _train_steerer if architecture == "token" else _train_lifter
+    with torch_threads(typed.threads), Reporter(quiet=typed.quiet) as reporter:
+        train = _train_steerer if is_token else _train_lifter
         network, errors = train(
-            training, testing, vocabulary, config, device=shared.device, progress=reporter
+            training, testing, vocabulary, config, device=typed.device, progress=reporter
         )
     card = model_card(
         config,
         errors,
         command=_typed_command(),
-        data=data or source.describe(),
-        terms=terms or ("not stated" if source.files else "none: no data"),
+        data=typed.data or source.describe(),
+        terms=typed.terms or ("not stated" if source.files else "none: no data"),
     )
-    save_model(output, network, vocabulary, card)
+    save_model(typed.output, network, vocabulary, card)
     listed = ", ".join(f"{name} {value}" for name, value in errors.items())
-    reporter.say(f"held out: {listed}; weights in {output}")
-    if as_json:
+    reporter.say(f"held out: {listed}; weights in {typed.output}")
+    if typed.as_json:
         click.echo(json.dumps(errors))
 
 

@@ -18,24 +18,21 @@ _CALIBRATION = values.PathOf(
 )
 
 
-@click.command(name="verify")
-@click.option(
-    "-o",
-    "--output",
-    type=values.ANY_PATH,
-    metavar="FILE",
-    help="Where to write CAMERAS with the cameras that moved where they are now; all else, "
-    "coordinates and unit too, stays as given.",
-)
-@click.option(
-    "--to",
-    "target",
-    metavar="FORMAT",
-    shell_complete=values.offer_written_camera_formats,
-    help="Format of FILE, where its ending does not say it (docs/formats.md).",
-)
-@options.shared_options(
-    "rig",
+@options.command(
+    "verify",
+    click.Option(
+        ["-o", "--output"],
+        type=values.ANY_PATH,
+        metavar="FILE",
+        help="Where to write CAMERAS with the cameras that moved where they are now; all else, "
+        "coordinates and unit too, stays as given.",
+    ),
+    click.Option(
+        ["--to"],
+        type=values.WRITTEN_CAMERA_FORMAT,
+        help="Format of FILE, where its ending does not say it (docs/formats.md).",
+    ),
+    click.Argument(["rig"], type=_CALIBRATION, metavar="CAMERAS"),
     "keypoints",
     *options.READING,
     *options.MODEL,
@@ -44,17 +41,9 @@ _CALIBRATION = values.PathOf(
     "seed",
     "strict",
     "quiet",
-    rig=click.argument("rig", type=_CALIBRATION, metavar="CAMERAS"),
+    options.as_json("Figures as JSON instead of a table."),
 )
-@options.as_json("Figures as JSON instead of a table.")
-@click.pass_context
-def command(
-    context: click.Context,
-    shared: options.SharedOptions,
-    output: str | None,
-    target: str | None,
-    as_json: bool,
-) -> None:
+def command(typed: options.Typed) -> int:
     """Judge the calibration CAMERAS by KEYPOINTS of moving subjects, and say which camera moved.
 
     CAMERAS: anyone's, by a board, a wand or keypoints, in any camera format with extrinsics and in
@@ -75,31 +64,30 @@ def command(
     """
     from mocap_calib.config import Config
     from mocap_calib.verdict.verify import verify
-    from mocap_calib_cli import inputs, outputs, screen, verdicts
-    from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli import ending, inputs, outputs, screen
 
-    outputs.check_text(output)
-    form = _choose_format(output, target)
-    with Reporter(quiet=shared.quiet) as reporter:
-        given, camera_file = inputs.read_rig(shared.rig, "CAMERAS")
-        rig, loaded = inputs.read_recording_of(given, camera_file, shared, reporter)
+    outputs.check_text(typed.output)
+    form = _choose_format(typed.output, typed.to)
+    with screen.Reporter(quiet=typed.quiet) as reporter:
+        given, camera_file = inputs.read_rig(typed.rig, "CAMERAS")
+        rig, loaded = inputs.read_recording_of(given, camera_file, typed, reporter)
         found = verify(
             loaded.recording,
             rig,
-            config=Config(sync=inputs.sync_config(shared)),
-            seed=shared.seed,
-            device=shared.device,
+            config=Config(sync=inputs.sync_config(typed)),
+            seed=typed.seed,
+            device=typed.device,
             progress=reporter,
         )
     absent = [name for name in given.names if name not in rig.names]
-    if as_json:
+    if typed.as_json:
         figures = _figures(found) | {"without_keypoints": absent}
         click.echo(json.dumps(figures, indent=1, allow_nan=False))
     else:
         screen.show(*_describe(found, absent), err=False)
-    if output is not None and form is not None:
-        _write(output, form, given, found)
-    context.exit(1 if found.named else verdicts.exit_status(found.verdict, shared))
+    if form is not None:
+        _write(typed.output, form, given, found)
+    return 1 if found.named else ending.exit_status(found.verdict, typed)
 
 
 def _figures(found: "Verification") -> dict[str, Any]:
@@ -149,8 +137,8 @@ def _choose_format(output: str | None, target: str | None) -> str | None:
 def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
     """Return the cameras as a table, the verdict, and what to do."""
     from mocap_calib.faults.hypotheses import clock_faults
+    from mocap_calib_cli.ending import STYLES, explain
     from mocap_calib_cli.screen import Line
-    from mocap_calib_cli.verdicts import STYLES, explain
 
     notes = [f"not checked, no keypoints: {', '.join(absent)}"] if absent else []
     notes += [
