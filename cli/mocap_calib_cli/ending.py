@@ -18,8 +18,8 @@ from mocap_calib.errors import count
 from mocap_calib.io.provenance import advice_on
 from mocap_calib.io.results.group import REVERSED_RIG
 from mocap_calib.types import ARBITRARY
-from mocap_calib_cli.options import Typed
 from mocap_calib_cli.screen import Line, Reporter, Table, format_number
+from mocap_calib_cli.typed import Typed
 
 _MOST_PAIRS = 6  # that are named in a line
 _USELESS = "not determined"

@@ -3,16 +3,12 @@
 Imports numpy and the readers: commands import this module when they run, so that --help is quick.
 """
 
-import logging
-import signal
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, closing, contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import starmap
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
@@ -31,11 +27,11 @@ from mocap_calib.config import (
     ViewGraphConfig,
     WorldConfig,
 )
-from mocap_calib.errors import ClusterError, MismatchError, argument, spell_as_option
+from mocap_calib.errors import MismatchError, argument, spell_as_option
 from mocap_calib.io.cameras.read import load_cameras, make_rig
 from mocap_calib.io.cameras.read import read_rig as read_rig_of
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.file import decode
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.landmarks_csv import read_landmarks
 from mocap_calib.io.results.further_formats import check_formats
@@ -46,13 +42,11 @@ from mocap_calib.recording.corrections import Exchanged, Mirrored, Moved, Resize
 from mocap_calib.results import Matches
 from mocap_calib.types import ARBITRARY, CameraRig, Ints, Recording
 from mocap_calib_cli.describe import describe_recording
-from mocap_calib_cli.options import KEYPOINTS, SCALE, SHARED, STDIO, Typed
+from mocap_calib_cli.names import WORLD
+from mocap_calib_cli.option_files import is_list
+from mocap_calib_cli.options import KEYPOINTS, SCALE, SHARED, STDIO
 from mocap_calib_cli.screen import Reporter
-from mocap_calib_cli.values import WORLD
-
-if TYPE_CHECKING:
-    from mocap_calib.compute.cluster import Cluster
-    from mocap_calib.compute.parallel import Processes
+from mocap_calib_cli.typed import Typed
 
 # --- keypoints and recordings
 
@@ -100,7 +94,7 @@ def keypoint_source(typed: Typed) -> KeypointSource:
 def describe_reading(typed: Typed) -> dict[str, Any]:
     """Return the texts that say how keypoints are read, for run.json."""
     return {
-        name: texts if _is_list(name) else texts[0]
+        name: texts if is_list(SHARED[name]) else texts[0]
         for name, texts in typed.texts.items()
         if name in _KEPT
     }
@@ -117,15 +111,12 @@ def options_of_reading(reading: Mapping[str, Any], typed: Typed) -> Typed:
         value = reading.get(name)
         if name in typed.texts:
             found[name] = getattr(typed, name)
-        elif isinstance(value, list if _is_list(name) else str) and name not in _OF_INTRINSICS:
+        elif (
+            isinstance(value, list if is_list(SHARED[name]) else str) and name not in _OF_INTRINSICS
+        ):
             texts = tuple(map(str, value)) if isinstance(value, list) else value
             found[name] = SHARED[name].process_value(context, texts)
     return Typed(found)
-
-
-def _is_list(name: str) -> bool:
-    """Return whether an option has several values."""
-    return SHARED[name].multiple or SHARED[name].nargs != 1
 
 
 def calibration_request(typed: Typed, output: Path) -> CalibrationRequest:
@@ -325,14 +316,6 @@ def read_rig(path: str, option: str) -> tuple[CameraRig, CameraFile]:
     return make_rig(found, "stdin" if path == STDIO else path), found
 
 
-def read_text(path: str, what: str) -> str:
-    """Return the text of a file or of stdin. Raises FormatError.
-
-    what: the argument that names the file.
-    """
-    return read_stdin(what) if path == STDIO else decode(read_bytes(Path(path)), path)
-
-
 def read_stdin(what: str) -> str:
     """Return all of stdin, for one input of the command."""
     meta = click.get_current_context().meta
@@ -342,54 +325,3 @@ def read_stdin(what: str) -> str:
         )
     meta["stdin"] = what
     return decode(sys.stdin.buffer.read(), "stdin")
-
-
-# --- who does the work
-
-
-@contextmanager
-def open_workers(
-    reporter: Reporter, *, scheduler: str | None = None, processes: int = 1
-) -> "Iterator[Cluster | Processes | None]":
-    """Start the workers of a scheduler, or so many processes, and end them with the block.
-
-    None where the work is done in this process. Batch systems end a job with SIGTERM: from here
-    on the program removes what is half written when it comes.
-
-    scheduler: address of a Dask scheduler, instead of processes.
-
-    Raises ClusterError where there are no such workers.
-    """
-    signal.signal(signal.SIGTERM, _exit_on_signal)
-    if scheduler is None and processes == 1:
-        yield None
-        return
-    from mocap_calib.compute import parallel
-
-    given = _connect(scheduler) if scheduler else closing(parallel.Processes(processes))
-    with given as workers:
-        place = f" by the workers of {scheduler}" if scheduler else ""
-        reporter.say(f"{workers.threads} at a time{place}")
-        yield workers
-
-
-def _connect(scheduler: str) -> "AbstractContextManager[Cluster]":
-    """Return the workers of a scheduler; the package for it is an extra."""
-    try:
-        from mocap_calib.compute import cluster
-    except ModuleNotFoundError as error:
-        raise ClusterError(
-            argument("scheduler"),
-            f"the package {error.name}",
-            "none",
-            "pip install 'mocap-calib[distributed]'",
-        ) from None
-    # what it has to say comes as an error, in one line; its import has set these levels itself
-    for logger in ("distributed", "distributed.client"):
-        logging.getLogger(logger).setLevel(logging.CRITICAL)
-    return cluster.cluster(scheduler)
-
-
-def _exit_on_signal(number: int, _: FrameType | None) -> None:
-    """End the program in order, with the status that shells give a signal."""
-    sys.exit(128 + number)

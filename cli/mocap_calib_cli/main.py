@@ -47,6 +47,7 @@ COMMANDS = {
     "train": "Train the network that lifts 2D poses.",
 }
 
+_STAGES = ("pairwise", "average", "match", "adjust", "triangulate", "smooth")
 _REMEDIES = {
     errno.ENOENT: "expected a file or folder, found none; check the path",
     errno.EACCES: "expected a path this program may use, found permission denied; "
@@ -83,8 +84,11 @@ class LazyGroup(click.Group):
         """Import the module of a command, and return the command."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"mocap_calib_cli.commands.{cmd_name}")
-        command: click.Command = module.command
+        is_stage = cmd_name in _STAGES
+        module = importlib.import_module(
+            f"mocap_calib_cli.commands.{'stages' if is_stage else cmd_name}"
+        )
+        command: click.Command = getattr(module, cmd_name if is_stage else "command")
         return command
 
     def resolve_command(

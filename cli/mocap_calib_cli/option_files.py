@@ -82,7 +82,7 @@ def read_file(path: Path, context: click.Context) -> tuple[dict[str, Any], dict[
     for key, param, nodes in _entries(path, params_by_key(context.command)):
         given = tuple(_resolve(param.type, node.value, path.parent) for node in nodes)
         name = str(param.name)
-        texts[name] = given if _is_list(param) else given[0]
+        texts[name] = given if is_list(param) else given[0]
         try:
             found[name] = param.process_value(context, texts[name])
         except (click.BadParameter, MismatchError) as error:
@@ -132,7 +132,7 @@ def _entries(
                 raise _refusal(path, node, expected, _kind(node), remedy)
             if node.style is None and node.value in _NOTHING:
                 raise _no_value(path, name, node)
-        if listed and not _is_list(param):
+        if listed and not is_list(param):
             raise _refusal(path, nodes[0], "one value", f"a list of {len(nodes)}", key=name)
         yield name, param, nodes
 
@@ -162,7 +162,7 @@ def _pairs(path: Path) -> "list[tuple[Node, Node]]":
     return node.value
 
 
-def _is_list(param: click.Parameter) -> bool:
+def is_list(param: click.Parameter) -> bool:
     """Return whether a parameter may have several values."""
     return param.multiple or param.nargs != 1
 

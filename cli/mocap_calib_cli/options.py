@@ -1,15 +1,9 @@
-"""Commands and the options that several of them share, each written once.
+"""The options that several commands share, each written once; their names are those of Python."""
 
-`@command("match", output_text("matches"), "rig", *KEYPOINTS)` makes a command of a function, with
-these parameters in this order: names of shared options, or parameters of click that are its own.
-The function gets one record, `Typed`: the values under the names that they have in Python.
-"""
-
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from mocap_calib.config import (
     MENDING,
@@ -23,7 +17,7 @@ from mocap_calib.config import (
     ViewGraphConfig,
     WorldConfig,
 )
-from mocap_calib_cli import values
+from mocap_calib_cli import names, values
 
 STDIO = "-"
 
@@ -83,13 +77,13 @@ _ALL: tuple[click.Parameter, ...] = (
     ),
     click.Option(
         ["--format"],
-        type=values.KEYPOINT_FORMAT,
+        type=names.KEYPOINT_FORMAT,
         help="Format of the keypoint files, where their content does not show it "
         "(docs/formats.md).",
     ),
     click.Option(
         ["--layout"],
-        type=values.LAYOUT,
+        type=names.LAYOUT,
         help="Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, "
         "... or a,b,c.",
     ),
@@ -195,7 +189,7 @@ _ALL: tuple[click.Parameter, ...] = (
     ),
     click.Option(
         ["--model"],
-        type=values.MODEL,
+        type=names.MODEL,
         help="Network: shipped (see `models`) or one of your own; none: geometry alone. "
         "[default: by joint names]",
     ),
@@ -246,7 +240,7 @@ _ALL: tuple[click.Parameter, ...] = (
     ),
     click.Option(
         ["--world"],
-        type=values.WORLD,
+        type=names.WORLD,
         default=WorldConfig.axes,
         help="Coordinates of the results: floor (z up, the origin on it), first-camera, the name "
         "of a camera, or a FILE with cameras in a world of yours; auto: the floor where subjects "
@@ -292,7 +286,7 @@ _ALL: tuple[click.Parameter, ...] = (
     ),
     _several(
         "--write",
-        values.RESULT_FORMAT,
+        names.RESULT_FORMAT,
         "Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. "
         "Those in metres need a known length: --height, --length, --camera-distance.",
     ),
@@ -383,78 +377,3 @@ def intrinsics_if_any(help: str) -> click.Option:
 def calibration(cameras: str) -> tuple[str | click.Parameter, ...]:
     """Return the parameters of a command that calibrates; cameras: the help of `--cameras`."""
     return (intrinsics_if_any(cameras), *CALIBRATION)
-
-
-# --- what was typed
-
-
-class Typed:
-    """What was typed, under the names of Python; None or () of what a command does not have.
-
-    texts: name -> the texts of what the command line, or a file of options, gives.
-    """
-
-    def __init__(
-        self, found: Mapping[str, Any], texts: Mapping[str, list[str]] | None = None
-    ) -> None:
-        vars(self).update(found)
-        self.texts = dict(texts or {})
-
-    def __getattr__(self, name: str) -> Any:
-        """Return what stands for an option that the command does not have."""
-        if name not in SHARED:
-            raise AttributeError(name)
-        return () if getattr(SHARED[name], "multiple", False) else None
-
-    def replace(self, found: dict[str, Any], texts: Mapping[str, Any]) -> "Typed":
-        """Return this with other values, and the texts of these."""
-        more = {name: _list_texts(each) for name, each in texts.items()}
-        return Typed(vars(self) | found, self.texts | more)
-
-
-class Command(click.Command):
-    """A command whose function gets what was typed, and returns an exit status, or nothing."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Keep the texts of what is given beside their values."""
-        typed, _, _ = self.make_parser(ctx).parse_args(list(args))
-        rest = super().parse_args(ctx, args)
-        said = {
-            ParameterSource.COMMANDLINE: typed,
-            ParameterSource.DEFAULT_MAP: ctx.default_map or {},
-        }
-        sources = {name: ctx.get_parameter_source(name) for name in ctx.params}
-        ctx.meta["texts"] = {
-            name: _list_texts(said[source][name])
-            for name, source in sources.items()
-            if source in said
-        }
-        return rest
-
-
-def _list_texts(value: Any) -> list[str]:
-    """Return the values of a parameter as the command line has them."""
-    if isinstance(value, bool):
-        return [str(value).lower()]
-    return [str(each) for each in value] if isinstance(value, list | tuple) else [str(value)]
-
-
-def command(name: str, *params: str | click.Parameter) -> Callable[[Callable[..., Any]], Command]:
-    """Make a command of a function; its docstring is the help.
-
-    params: names of shared options, and parameters of its own.
-    """
-
-    def make(function: Callable[[Typed], int | None]) -> Command:
-        def call(**found: Any) -> None:
-            context = click.get_current_context()
-            context.exit(function(Typed(found, context.meta["texts"])) or 0)
-
-        return Command(
-            name,
-            params=[SHARED[each] if isinstance(each, str) else each for each in params],
-            callback=call,
-            help=function.__doc__,
-        )
-
-    return make

@@ -257,7 +257,7 @@ FILES = ["file,"]
         ("ev", "evaluate", None),
         ("run --c", "--cameras --camera-regex --camera-distance --crop-offset --config", None),
         ("run x --format deep", "deeplabcut-h5 deeplabcut-csv", None),
-        ("verify x --format coc", "coco", "coco-results"),
+        ("verify x --format coc", "coco coco-results", None),
         ("inspect x --layout body_25", "body_25 body_25b", None),
         ("convert a b --from tr", "trc", None),
         ("convert a b --to s", "sleap sleap-anipose", None),

@@ -253,3 +253,90 @@ def test_adjust_ends_as_run_does(done, small, here, monkeypatch, tmp_path):
         assert said.stderr.startswith(f"mocap-calib: {tmp_path / 'a.yaml'}: rig not determined: do")
         written = yaml.safe_load((tmp_path / "a.yaml").read_text("utf-8"))
         assert written["provenance"]["verdict"] == "not determined"
+
+
+# --- what counts as finished, and what a run says while it works
+
+
+def damage(name: str, change=lambda content: content[: len(content) // 2]):
+    def spoil(folder: Path, _) -> None:
+        (folder / name).write_bytes(change((folder / name).read_bytes()))
+
+    return spoil
+
+
+def other_program(name: str):
+    """As after a change of the checkout, or of the weights."""
+    other = f"mocap_calib.job.steps.{name}"
+    return lambda _, monkeypatch: monkeypatch.setattr(other, lambda *_: "0" * 64)
+
+
+KEPT = [("--no-report",), ("--strict",), ("--jobs", "1")]
+OTHER = [
+    *(("--seed", "1"), ("--solver", "paper"), ("--model", "none"), ("--image-size", "1280x720")),
+    *(("--views", "A,B"), ("--frame-offset", "cam1:0"), ("--format", "coco"), ("--write", "npz")),
+    *(("--fps", "30"), ("--mirrored", "cam1"), ("--camera-regex", "cam."), ("--sync", "off")),
+    *(damage(f"out/usable/{name}") for name in ("cameras.yaml", "poses3d.h5", "run.json")),
+    lambda folder, _: (folder / "out/usable/matches.csv").unlink(),
+    damage("usable/cam1.json", lambda content: content + b"\n"),
+    other_program("identify_model"),
+    other_program("identify_program"),
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [*((each, "kept") for each in KEPT), *((each, "done") for each in OTHER)],
+)
+def test_finished_is_told_by_content(change, expected, small, finds, here, monkeypatch, tmp_path):
+    """By the files, the options, the weights and the code that results follow from."""
+    finds()
+    (tmp_path / "usable").mkdir()
+    for file in (small / "keypoints").iterdir():
+        (tmp_path / "usable" / file.name).write_bytes(file.read_bytes())
+    cameras = ("--cameras", small / "intrinsics.toml")
+    words = ("batch", tmp_path / "usable", *cameras, "-o", tmp_path / "out", "-q", "--json")
+    status = [
+        json.loads(here(*words, *options).stdout)["recordings"][0]["status"] for options in ((), ())
+    ]
+    assert status == ["done", "kept"]
+    options = change if isinstance(change, tuple) else change(tmp_path, monkeypatch) or ()
+    done = here(*words, *options)
+    found = json.loads(done.stdout)["recordings"][0]["status"]
+    assert (found == "kept") == (expected == "kept")
+
+
+def test_a_long_stage_says_how_long_it_takes_yet(small, here, found, monkeypatch, tmp_path):
+    """And that it was interrupted, with what is kept."""
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+
+    def calibrate(job, *, progress, **_) -> mc.CalibrationResult:
+        progress("match all", 0, 10)
+        now[0] += 40
+        progress("match all (cam1)", 4, 10)
+        progress("adjust", 2, 6)
+        progress("smooth", 7, 7)
+        kept = Path(job.request.output) / ".unfinished"
+        if not kept.is_dir():
+            kept.mkdir(parents=True)
+            for number in range(3):
+                (kept / f"{number}.json").touch()
+            raise KeyboardInterrupt
+        return found
+
+    monkeypatch.setattr("mocap_calib.job.steps.calibrate_job_resumably", calibrate)
+    cameras = ("--cameras", small / "intrinsics.toml")
+    words = ("run", small / "keypoints", *cameras, "-o", tmp_path / "out", "--smooth", "off")
+    done = here(*words)
+    assert done.returncode == 130
+    assert [line for line in done.stderr.splitlines() if line][-6:] == [
+        "match all (cam1): 4 of 10, about 60 s left",
+        "match all (cam1): done in 40.0 s (needed 4 of at most 10 steps)",
+        "adjust: done in 0.0 s (needed 2 of at most 6 steps)",
+        "smooth: done in 0.0 s",
+        f"3 pairs of cameras kept in {tmp_path / 'out' / '.unfinished'}: the same command goes on "
+        "from there",
+        "mocap-calib: interrupted",
+    ]
+    assert here(*words).returncode == 0

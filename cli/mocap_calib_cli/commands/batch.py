@@ -11,6 +11,7 @@ import click
 
 from mocap_calib_cli import option_files, options, values
 from mocap_calib_cli.commands.run import command as run
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
@@ -35,7 +36,7 @@ OF_RECORDINGS = frozenset({"keypoints", "cameras", *options.CALIBRATION}) - {
 _REFUSED = "refused"  # stands for the verdict where files or data do not allow a calibration
 
 
-@options.command(
+@as_command(
     "batch",
     options.output_folder("Folder to write: OUT/NAME of recording NAME."),
     click.Argument(
@@ -52,7 +53,7 @@ _REFUSED = "refused"  # stands for the verdict where files or data do not allow 
     ),
     options.as_json("Write the summary to stdout."),
 )
-def command(typed: options.Typed) -> int:
+def command(typed: Typed) -> int:
     """Calibrate many recordings as `run` does: one after the other, in processes, or on a cluster.
 
     RECORDINGS: a folder of keypoint files each, or a folder with such a folder named `keypoints`
@@ -68,8 +69,9 @@ def command(typed: options.Typed) -> int:
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --layout body_25 --jobs 4
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
     """
-    from mocap_calib_cli import ending, inputs, outputs
+    from mocap_calib_cli import ending, outputs
     from mocap_calib_cli.screen import Reporter
+    from mocap_calib_cli.workers import open_workers
 
     ending.check_demands(typed)
     if typed.scheduler and typed.jobs > 1:
@@ -81,7 +83,7 @@ def command(typed: options.Typed) -> int:
     processes = min(typed.jobs, len(requests))
     with (
         Reporter(quiet=typed.quiet) as reporter,
-        inputs.open_workers(reporter, scheduler=typed.scheduler, processes=processes) as workers,
+        open_workers(reporter, scheduler=typed.scheduler, processes=processes) as workers,
     ):
         batch = _Batch(reporter, len(requests), typed)
         batch.work_off(requests, workers)
@@ -102,7 +104,7 @@ def command(typed: options.Typed) -> int:
 # --- which recordings there are, and the options that each has for itself
 
 
-def _make_requests(typed: options.Typed) -> "list[CalibrationRequest]":
+def _make_requests(typed: Typed) -> "list[CalibrationRequest]":
     """Return what is asked for of each recording; its results go to a folder of its name.
 
     Raises FormatError for a file of options that is wrong: before any work is done.
@@ -151,7 +153,7 @@ def _name_recordings(recordings: Iterable[str]) -> dict[str, Path]:
 class _Batch:
     """Calibrates recordings, and keeps what has become of each."""
 
-    def __init__(self, reporter: "Reporter", total: int, typed: options.Typed) -> None:
+    def __init__(self, reporter: "Reporter", total: int, typed: Typed) -> None:
         self.reporter = reporter
         self.total = total
         self.typed = typed

@@ -2,16 +2,17 @@
 
 import click
 
-from mocap_calib_cli import options, values
+from mocap_calib_cli import names, options
+from mocap_calib_cli.typed import Typed, as_command
 
 
-@options.command(
+@as_command(
     "complete",
     options.output_folder("Folder to write a keypoint file per camera to."),
     click.Option(
         ["--to"],
         default="coco",
-        type=values.WRITTEN_KEYPOINT_FORMAT,
+        type=names.WRITTEN_KEYPOINT_FORMAT,
         help="Format to write (docs/formats.md).",
     ),
     "cameras",
@@ -19,7 +20,7 @@ from mocap_calib_cli import options, values
     *options.KEYPOINTS,
     "quiet",
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Write KEYPOINTS with all joints of the model, for instance to compare two detectors.
 
     A joint that was not seen is put where the network expects it in that view: it is a guess, not a

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mocap_calib_cli import options, values
+from mocap_calib_cli import names, options, values
+from mocap_calib_cli.options import STDIO
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.io.conversion import Conversion
@@ -24,18 +26,18 @@ _OPTIONS_OF = {
 }
 
 
-@options.command(
+@as_command(
     "convert",
     click.Argument(["inputs"], nargs=-1, required=True, type=_INPUT, metavar="INPUT..."),
     click.Argument(["output"], type=values.ANY_PATH, metavar="OUTPUT"),
     click.Option(
         ["--from", "format"],
-        type=values.FORMAT,
+        type=names.FORMAT,
         help="Format of INPUT, where its content does not show it; needed for stdin.",
     ),
     click.Option(
         ["--to"],
-        type=values.WRITTEN_FORMAT,
+        type=names.WRITTEN_FORMAT,
         help="Format of OUTPUT, where the ending of its name does not say it.",
     ),
     click.Option(
@@ -57,7 +59,7 @@ _OPTIONS_OF = {
     *_READING,
     "quiet",
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Convert INPUT to OUTPUT: between two formats of keypoints, of cameras, or of 3D poses.
 
     INPUT is a file or a folder (keypoints: any number, also name=path); - is stdin or stdout.
@@ -82,7 +84,7 @@ def command(typed: options.Typed) -> None:
     kind = kinds.choose_kind(sources, typed.output, format=typed.format, to=typed.to)
     own = _options_of(kind, typed)
     target = typed.to or kinds.choose_format(kind, typed.output)
-    path = None if typed.output == options.STDIO else Path(typed.output)
+    path = None if typed.output == STDIO else Path(typed.output)
     if path is not None:
         outputs.check_place(path)
     convert = {
@@ -149,7 +151,7 @@ def _convert_keypoints(
     from mocap_calib_cli.inputs import read_options
 
     format = own.pop("format")
-    reading = read_options(options.Typed(own))
+    reading = read_options(Typed(own))
     done = convert_keypoints(sources, output, target, format=format, options=reading)
     paths = [] if isinstance(sources, bytes) else [str(each) for each in sources]
     ignored = describe_ignored_files(find_ignored_files(paths))
@@ -159,12 +161,12 @@ def _convert_keypoints(
 # --- what was typed
 
 
-def _options_of(kind: str, typed: options.Typed) -> dict[str, Any]:
+def _options_of(kind: str, typed: Typed) -> dict[str, Any]:
     """Return the options of a kind of files.
 
     Raises click's UsageError where one was typed that says nothing of this kind.
     """
-    for name in {name for names in _OPTIONS_OF.values() for name in names} & typed.texts.keys():
+    for name in {name for own in _OPTIONS_OF.values() for name in own} & typed.texts.keys():
         if name not in _OPTIONS_OF[kind]:
             raise click.UsageError(
                 f"--{name.replace('_', '-')}: expected an option of {kind}, which INPUT holds, "
@@ -173,11 +175,11 @@ def _options_of(kind: str, typed: options.Typed) -> dict[str, Any]:
     return {name: getattr(typed, name) for name in _OPTIONS_OF[kind]}
 
 
-def _find_sources(typed: options.Typed) -> "Sources":
+def _find_sources(typed: Typed) -> "Sources":
     """Return the inputs, or the content of stdin. Raises click's UsageError and MismatchError."""
     from mocap_calib.io.kinds import check_sources
 
-    if options.STDIO not in typed.inputs:
+    if STDIO not in typed.inputs:
         check_sources(typed.inputs)
         return typed.inputs
     if typed.format is None or len(typed.inputs) > 1:

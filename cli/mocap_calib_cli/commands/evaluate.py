@@ -6,9 +6,10 @@ from typing import Any
 import click
 
 from mocap_calib_cli import options, values
+from mocap_calib_cli.typed import Typed, as_command
 
 
-@options.command(
+@as_command(
     "evaluate",
     click.Argument(["rig"], type=values.RIG, metavar="CAMERAS"),
     click.Option(
@@ -20,7 +21,7 @@ from mocap_calib_cli import options, values
     ),
     options.as_json("Figures as JSON instead of a table."),
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Compare CAMERAS with a reference calibration.
 
     E_R and E_t are the errors of each pair of cameras in degrees: of its relative rotation, and of

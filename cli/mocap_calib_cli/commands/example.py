@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from mocap_calib.synthetic.config import EXAMPLES
-from mocap_calib_cli import options, values
+from mocap_calib_cli import values
+from mocap_calib_cli.typed import Typed, as_command
 
 _ABOUT = {
     "people": "two people who walk about and gesture, four cameras",
@@ -24,7 +25,7 @@ def _known(name: str) -> str:
 _NAME = values.Written("[NAME]", f"one of {', '.join(EXAMPLES)}", _known, offers=lambda: _ABOUT)
 
 
-@options.command(
+@as_command(
     "example",
     click.Argument(["name"], required=False, type=_NAME),
     click.Option(
@@ -35,7 +36,7 @@ _NAME = values.Written("[NAME]", f"one of {', '.join(EXAMPLES)}", _known, offers
     ),
     "quiet",
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Lay out an example recording; without NAME, list those that there are.
 
     These are simulated recordings with keypoints, intrinsics, the true cameras, and a README with

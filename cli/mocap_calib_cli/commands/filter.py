@@ -3,7 +3,8 @@
 import click
 
 from mocap_calib.config import FILTER_METHODS, FilterConfig
-from mocap_calib_cli import options, values
+from mocap_calib_cli import names, options, values
+from mocap_calib_cli.typed import Typed, as_command
 
 
 def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
@@ -15,13 +16,13 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
     return value
 
 
-@options.command(
+@as_command(
     "filter",
     click.Argument(["poses"], type=values.POSES, metavar="POSES"),
     options.output_file("The filtered poses; the ending of the name says the format."),
     click.Option(
         ["--to"],
-        type=values.WRITTEN_FORMAT,
+        type=names.WRITTEN_FORMAT,
         help="Format of the output, where the ending of its name does not say it. [default: "
         "poses-h5 for .h5]",
     ),
@@ -63,7 +64,7 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
     options.rate_of_poses("Frames per second, where the file does not say."),
     "quiet",
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Filter the 3D poses in POSES over time: a file of docs/formats.md, or the folder of a run.
 
     Nothing passes a gap: each joint is filtered from gap to gap, and what is missing stays

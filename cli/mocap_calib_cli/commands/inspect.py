@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from mocap_calib_cli import options
+from mocap_calib_cli.typed import Typed, as_command
 
 _COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
 _COLUMNS = {  # heading -> what it means
@@ -25,7 +26,7 @@ _COLUMNS = {  # heading -> what it means
 _LISTED_GAPS = 5
 
 
-@options.command(
+@as_command(
     "inspect",
     *options.KEYPOINTS,
     options.intrinsics_if_any(
@@ -39,7 +40,7 @@ _LISTED_GAPS = 5
     ),
     options.as_json("Write everything as JSON."),
 )
-def command(typed: options.Typed) -> int:
+def command(typed: Typed) -> int:
     """Say what is in KEYPOINTS, and what would make a run fail.
 
     Of each camera: frames and gaps, individuals, joints, missing points, scores; of each pair of
@@ -61,7 +62,7 @@ def command(typed: options.Typed) -> int:
     return int(_is_critical(report))
 
 
-def _inspect(typed: options.Typed) -> dict[str, Any]:
+def _inspect(typed: Typed) -> dict[str, Any]:
     """Return what the files hold, and the findings."""
     from mocap_calib.inspection import Finding, fill_image_sizes, find_problems, inspect_views
     from mocap_calib.inspection.finding import InspectConfig
@@ -97,7 +98,7 @@ def _is_critical(report: dict[str, Any]) -> bool:
     return any(finding["level"] == "CRITICAL" for finding in report["findings"])
 
 
-def _compare_clocks(report: dict[str, Any], typed: options.Typed) -> None:
+def _compare_clocks(report: dict[str, Any], typed: Typed) -> None:
     """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
     from mocap_calib.clocks.estimate import estimate_clocks
     from mocap_calib.config import Config

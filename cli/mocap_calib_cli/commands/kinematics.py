@@ -4,23 +4,24 @@ from pathlib import Path
 
 import click
 
-from mocap_calib_cli import options, values
+from mocap_calib_cli import names, options, values
+from mocap_calib_cli.typed import Typed, as_command
 
 
-@options.command(
+@as_command(
     "kinematics",
     click.Argument(["poses"], nargs=-1, required=True, type=values.POSES, metavar="POSES..."),
     options.output_folder("Folder to write the tables to; made when missing."),
     click.Option(
         ["--from", "format"],
-        type=values.POSE_FORMAT,
+        type=names.POSE_FORMAT,
         help="Format of POSES, where their content does not show it.",
     ),
     options.rate_of_poses("Frames per second, where the file does not say."),
     "skeleton",
     "quiet",
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Measure joint angles, speeds, contacts with the floor, and bone lengths of 3D POSES.
 
     POSES: a file of 3D poses in any format, files of one individual each, or the folder of a run.

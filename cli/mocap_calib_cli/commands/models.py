@@ -5,13 +5,14 @@ import json
 import click
 
 from mocap_calib_cli import options
+from mocap_calib_cli.typed import Typed, as_command
 
 # of the RMS radius of the visible pose
 _ERRORS = {"joint_3d": "3D error", "steered_2d": "steered", "completed_2d": "completed"}
 
 
-@options.command("models", options.as_json("Write the whole model cards."))
-def command(typed: options.Typed) -> None:
+@as_command("models", options.as_json("Write the whole model cards."))
+def command(typed: Typed) -> None:
     """List the shipped models: their joints, training data, terms, and errors.
 
     `run` takes the one that knows most of the recording's joint names. Errors are measured on poses

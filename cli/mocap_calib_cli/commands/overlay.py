@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib_cli import options, values
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,7 +30,7 @@ def _check_cameras(
     return dict(videos)
 
 
-@options.command(
+@as_command(
     "overlay",
     click.Argument(["results"], type=values.FILE, metavar="OUT"),
     click.Option(
@@ -57,7 +58,7 @@ def _check_cameras(
     "crop_offset",
     "quiet",
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Draw the results of a run, in the folder OUT, on the frames of its videos.
 
     Rings are detections, lines and discs the 3D poses as the camera sees them, each individual in
@@ -95,7 +96,7 @@ def command(typed: options.Typed) -> None:
     reporter.say(*notes, f"overlays in {typed.output}")
 
 
-def _read_detections(read: options.Typed) -> "tuple[Keypoints2D, ...]":
+def _read_detections(read: Typed) -> "tuple[Keypoints2D, ...]":
     """Return the detections of each camera. Raises FormatError and MismatchError."""
     from mocap_calib.errors import MismatchError
     from mocap_calib.io.keypoints.read import read_keypoints

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib_cli import options, values
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.html_report.source import Reference
     from mocap_calib.job.reports import ResultsFolder
 
 
-@options.command(
+@as_command(
     "report",
     click.Argument(["results"], type=values.ANY_PATH, metavar="OUT"),
     click.Option(
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     "skeleton",
     "quiet",
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Show the results of `run` in the folder OUT: one HTML file, which needs no network.
 
     `run` writes the same. KEYPOINTS: those of the run, where they are no longer where it read
@@ -66,7 +67,7 @@ def command(typed: options.Typed) -> None:
 
 def draw_results(
     folder: "ResultsFolder",
-    typed: options.Typed,
+    typed: Typed,
     output: Path | None = None,
     reference: "Reference | None" = None,
 ) -> tuple[str, ...]:

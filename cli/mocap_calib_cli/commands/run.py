@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib_cli import option_files, options
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.job.results import WrittenGroup
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 _NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video CAM=FILE -o overlay"
 
 
-@options.command(
+@as_command(
     "run",
     options.output_folder("Folder to write; made when missing."),
     "keypoints",
@@ -30,7 +31,7 @@ _NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video 
     option_files.CONFIG,
     option_files.SAVE_CONFIG,
 )
-def command(typed: options.Typed) -> int:
+def command(typed: Typed) -> int:
     """Calibrate the cameras that saw KEYPOINTS, find who is who, and triangulate the poses.
 
     KEYPOINTS: a folder with a file or a folder per camera, or files, or name=path pairs, or a
@@ -64,6 +65,7 @@ def command(typed: options.Typed) -> int:
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
     from mocap_calib_cli import describe, ending, inputs, outputs
     from mocap_calib_cli.screen import Reporter
+    from mocap_calib_cli.workers import open_workers
 
     gc.freeze()
     gc.enable()
@@ -74,7 +76,7 @@ def command(typed: options.Typed) -> int:
         option_files.save_options(click.get_current_context(), typed.save_config)
     with (
         Reporter(quiet=typed.quiet) as reporter,
-        inputs.open_workers(reporter, scheduler=typed.scheduler) as workers,
+        open_workers(reporter, scheduler=typed.scheduler) as workers,
     ):
         job = read_job(request)
         reporter.say(*describe.describe_recording(job.loaded.summary))
@@ -112,9 +114,7 @@ def _say_how_to_go_on(reporter: "Reporter", output: Path) -> Iterator[None]:
         raise
 
 
-def _say_groups(
-    reporter: "Reporter", written: Sequence["WrittenGroup"], typed: options.Typed
-) -> None:
+def _say_groups(reporter: "Reporter", written: Sequence["WrittenGroup"], typed: Typed) -> None:
     """Say what was found of each group of cameras, the largest last."""
     from mocap_calib.io.results.group import group_folder
     from mocap_calib_cli import describe, ending

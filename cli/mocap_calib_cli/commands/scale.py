@@ -3,12 +3,13 @@
 import click
 
 from mocap_calib_cli import options, values
+from mocap_calib_cli.typed import Typed, as_command
 
 
-@options.command(
+@as_command(
     "scale", click.Argument(["output"], type=values.FILE, metavar="OUT"), *options.SCALE, "quiet"
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Set the scale of the results in OUT, which a run wrote, by lengths that you know.
 
     Cameras, 3D poses, run.json and report.html are rewritten, in metres. Several lengths are
@@ -42,4 +43,4 @@ def command(typed: options.Typed) -> None:
     reporter = Reporter(quiet=typed.quiet)
     reporter.say(*said, *done.notes)
     if (output / PAGE).is_file() and (output / REPORT).is_file():
-        reporter.say(*draw_results(open_results(output), options.Typed({})))
+        reporter.say(*draw_results(open_results(output), Typed({})))

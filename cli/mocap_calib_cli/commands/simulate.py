@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 from mocap_calib.synthetic.config import ANIMAL_MOTION, SimulateConfig
-from mocap_calib_cli import options, values
+from mocap_calib_cli import values
+from mocap_calib_cli.typed import Typed, as_command
 
 _DEFAULT = SimulateConfig()
 _FLAGS = {"noise_px": "--noise", "arc_deg": "--arc"}  # where the field is not called as the option
@@ -36,7 +37,7 @@ def _option(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> cl
     return click.Option([flag, name], type=kind, default=default, help=help, **more)
 
 
-@options.command(
+@as_command(
     "simulate",
     click.Option(
         ["-o", "--output"],
@@ -92,7 +93,7 @@ def _option(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> cl
     _option("--seed", values.SEED, "The same seed gives the same bytes."),
     "quiet",
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Make a recording of synthetic people or animals with its truth.
 
     These are keypoints (COCO), cameras, who is who, and the true 3D poses.

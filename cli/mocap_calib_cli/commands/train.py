@@ -11,7 +11,8 @@ import click
 
 from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.training import PairsConfig, TrainConfig
-from mocap_calib_cli import options, values
+from mocap_calib_cli import names, options, values
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.training.model import Model
@@ -50,7 +51,7 @@ _SIZES = (
 )
 
 
-@options.command(
+@as_command(
     "train",
     click.Argument(["poses"], nargs=-1, type=values.FILE, metavar="[POSES...]"),
     options.output_file("Weights to write (.safetensors); the model card is inside."),
@@ -62,7 +63,7 @@ _SIZES = (
     ),
     click.Option(
         ["--skeleton"],
-        type=values.SKELETON,
+        type=names.SKELETON,
         help="Vocabulary: a shipped skeleton or one of your own. "
         "[default: people; with --from: its own joints]",
     ),
@@ -105,7 +106,7 @@ _SIZES = (
     ),
     options.as_json("Write the held-out errors to stdout."),
 )
-def command(typed: options.Typed) -> None:
+def command(typed: Typed) -> None:
     """Train a lifter on 3D poses, on bodies made from the skeleton's file, or on both.
 
     POSES: npz files with `poses` [pose, joint, 3] and `joints`, or folders with poses3d.npz and

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mocap_calib_cli import options, values
+from mocap_calib_cli import names, options, values
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.results import Verification
@@ -18,7 +19,7 @@ _CALIBRATION = values.PathOf(
 )
 
 
-@options.command(
+@as_command(
     "verify",
     click.Option(
         ["-o", "--output"],
@@ -29,7 +30,7 @@ _CALIBRATION = values.PathOf(
     ),
     click.Option(
         ["--to"],
-        type=values.WRITTEN_CAMERA_FORMAT,
+        type=names.WRITTEN_CAMERA_FORMAT,
         help="Format of FILE, where its ending does not say it (docs/formats.md).",
     ),
     click.Argument(["rig"], type=_CALIBRATION, metavar="CAMERAS"),
@@ -43,7 +44,7 @@ _CALIBRATION = values.PathOf(
     "quiet",
     options.as_json("Figures as JSON instead of a table."),
 )
-def command(typed: options.Typed) -> int:
+def command(typed: Typed) -> int:
     """Judge the calibration CAMERAS by KEYPOINTS of moving subjects, and say which camera moved.
 
     CAMERAS: anyone's, by a board, a wand or keypoints, in any camera format with extrinsics and in

@@ -1,0 +1,241 @@
+"""The stages of `run`, one at a time: each reads records, calls a function, and writes."""
+
+from pathlib import Path
+
+import click
+
+from mocap_calib_cli import options, values
+from mocap_calib_cli.options import STDIO
+from mocap_calib_cli.typed import Typed, as_command
+
+
+@as_command(
+    "pairwise",
+    options.output_text("pairs (JSON)"),
+    "cameras",
+    *options.MODEL,
+    "pairs",
+    "solver",
+    "seed",
+    *options.KEYPOINTS,
+    "quiet",
+)
+def pairwise(typed: Typed) -> None:
+    """Find the relative poses of pairs of cameras, and who matches whom.
+
+    This is the first stage of `run`. The file it writes is for `average`.
+
+    \b
+    Example, in the folder examples/three_people:
+      mocap-calib pairwise keypoints/ --cameras intrinsics.toml -o pairs.json
+      mocap-calib pairwise keypoints/ --cameras intrinsics.toml --solver five-point -o b.json
+    """
+    from mocap_calib.config import Config, ViewGraphConfig
+    from mocap_calib.io.results.pairs_json import pairs_to_json
+    from mocap_calib.stages import pairwise
+    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli.screen import Reporter
+
+    outputs.check_text(typed.output)
+    with Reporter(quiet=typed.quiet) as reporter:
+        camera_file = inputs.load_camera_file(typed.cameras, "--cameras")
+        recording = inputs.read_recording(typed, camera_file, reporter).recording
+        pairs = pairwise(
+            recording,
+            config=Config(view_graph=ViewGraphConfig(pairs=typed.pairs)),
+            solver=typed.solver,
+            seed=typed.seed,
+            device=typed.device,
+            progress=reporter,
+        )
+    outputs.write_text(typed.output, [pairs_to_json(pairs, recording.cameras).encode()])
+
+
+@as_command(
+    "average",
+    click.Argument(["pairs"], type=values.PAIRS, metavar="PAIRS"),
+    options.output_text("cameras (YAML)"),
+    "quiet",
+)
+def average(typed: Typed) -> None:
+    """Find where all cameras stand (the rig) from PAIRS, the file of `pairwise`; - reads stdin.
+
+    Cameras that are in no pair are left out and named.
+
+    \b
+    Example, in the folder examples/three_people:
+      mocap-calib average pairs.json -o rig.yaml
+      mocap-calib pairwise keypoints/ --cameras intrinsics.toml | mocap-calib average -
+    """
+    from mocap_calib.io.cameras.own import format_cameras_yaml
+    from mocap_calib.io.file import decode, read_bytes
+    from mocap_calib.io.provenance import provenance
+    from mocap_calib.io.results.pairs_json import pairs_from_json
+    from mocap_calib.stages import average
+    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli.describe import describe_unused_cameras
+    from mocap_calib_cli.screen import Reporter
+
+    outputs.check_text(typed.output)
+    if typed.pairs == STDIO:
+        pairs, cameras = pairs_from_json(inputs.read_stdin("PAIRS"), "stdin")
+    else:
+        text = decode(read_bytes(Path(typed.pairs)), typed.pairs)
+        pairs, cameras = pairs_from_json(text, typed.pairs)
+    rig = average(pairs, cameras)
+    left_out = [camera.name for camera in cameras if camera.name not in rig.names]
+    Reporter(quiet=typed.quiet).say(*describe_unused_cameras(left_out))
+    outputs.write_text(typed.output, [format_cameras_yaml(rig, provenance("average")).encode()])
+
+
+@as_command(
+    "match",
+    options.output_text("matches (CSV)"),
+    "rig",
+    *options.MODEL,
+    "individuals",
+    *options.KEYPOINTS,
+    "quiet",
+)
+def match(typed: Typed) -> None:
+    """Label every detection with its individual, given where the cameras stand.
+
+    MATCHES has a row for each detection: camera, frame, its number in the frame, and the number of
+    the individual (-1 is nobody). It is for `adjust` and `triangulate`.
+
+    \b
+    Example, in the folder examples/three_people:
+      mocap-calib match keypoints/ --rig out/cameras.yaml -o matches.csv
+    """
+    from mocap_calib.config import Config, MatchingConfig
+    from mocap_calib.io.results.matches_csv import matches_csv
+    from mocap_calib.stages import match
+    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli.screen import Reporter
+
+    outputs.check_text(typed.output)
+    with Reporter(quiet=typed.quiet) as reporter:
+        rig, loaded = inputs.read_recording_of_rig(typed, reporter)
+        config = Config(matching=MatchingConfig(individuals=typed.individuals))
+        matches = match(
+            loaded.recording, rig, config=config, device=typed.device, progress=reporter
+        )
+    outputs.write_text(typed.output, matches_csv(loaded.recording, matches, loaded.clocks))
+
+
+@as_command(
+    "adjust",
+    options.output_text("adjusted cameras (YAML)"),
+    click.Option(
+        ["--matches-out"],
+        type=values.ANY_PATH,
+        metavar="FILE",
+        help="Where to write the matches that the adjusted cameras imply.",
+    ),
+    "rig",
+    "matches",
+    *options.MODEL,
+    *options.KEYPOINTS,
+    *options.VERDICT,
+    "quiet",
+)
+def adjust(typed: Typed) -> int:
+    """Adjust the cameras and match again, in turn, until no match changes (bundle adjustment).
+
+    Errors and verdict are those of the frames that calibration looks at. The exit status is 1
+    where the rig is not determined, as that of `run`.
+
+    \b
+    Example:
+      mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv -o cameras.yaml
+      mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --matches-out new.csv
+    """
+    from mocap_calib.io.cameras.write import format_rig
+    from mocap_calib.io.provenance import hold_for, provenance
+    from mocap_calib.io.results.matches_csv import matches_csv
+    from mocap_calib.report import run_report, verdict_of_cameras
+    from mocap_calib.stages import bundle_adjust
+    from mocap_calib_cli import ending, inputs, outputs
+    from mocap_calib_cli.screen import Reporter
+
+    ending.check_demands(typed)
+    outputs.check_text(typed.output)
+    outputs.check_text(typed.matches_out)
+    with Reporter(quiet=typed.quiet) as reporter:
+        rig, loaded, matches, frames = inputs.read_matched_recording(typed, reporter)
+        result, matches = bundle_adjust(
+            loaded.recording, rig, matches, device=typed.device, progress=reporter
+        )
+    if typed.matches_out is not None:
+        table = matches_csv(loaded.recording, matches, loaded.clocks)
+        outputs.write_text(typed.matches_out, table)
+    (group,) = result.groups
+    report = run_report(group, result)
+    judged = verdict_of_cameras(report)
+    if frames is not None:  # a camera was moved
+        judged = hold_for(judged, frames)
+    (content,) = format_rig(group.rig, "mocap-calib", provenance("adjust", **judged)).files.values()
+    outputs.write_text(typed.output, [content])
+    reporter.say("")
+    reporter.show(ending.camera_table(report))
+    reporter.say(*ending.describe_rig(report))
+    place = "adjusted cameras" if typed.output == STDIO else typed.output
+    ending.conclude(reporter, group.verdict, place, typed, reasons=report["verdict"]["reasons"])
+    return ending.exit_status(group.verdict, typed)
+
+
+@as_command(
+    "triangulate", options.output_poses(), "rig", "matches", "skeleton", *options.KEYPOINTS, "quiet"
+)
+def triangulate(typed: Typed) -> None:
+    """Triangulate the 3D poses of all individuals in all frames.
+
+    \b
+    Example, in the folder examples/three_people:
+      mocap-calib triangulate keypoints/ --rig out/cameras.yaml --matches out/matches.csv -o p.h5
+    """
+    from mocap_calib.rig.triangulate import triangulate
+    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli.screen import Reporter
+
+    outputs.check_poses(typed.output)
+    with Reporter(quiet=typed.quiet) as reporter:
+        rig, loaded, matches, _ = inputs.read_matched_recording(typed, reporter)
+        outputs.check_individuals(typed.output, matches.individuals)
+        poses = triangulate(loaded.recording, rig, matches, progress=reporter)
+    outputs.write_poses(typed.output, poses, loaded.recording, "triangulate")
+
+
+@as_command(
+    "smooth",
+    options.output_poses(),
+    "rig",
+    "matches",
+    "skeleton",
+    "smooth",
+    *options.KEYPOINTS,
+    "quiet",
+)
+def smooth(typed: Typed) -> None:
+    """Triangulate the 3D poses of all individuals, and fit them to motion and bones.
+
+    How strongly, held-out detections say. Short gaps are bridged, and joints that a single camera
+    saw are completed; docs/poses.md has how, and which. `run` does the same.
+
+    \b
+    Example, in the folder examples/three_people:
+      mocap-calib smooth keypoints/ --rig out/cameras.yaml --matches out/matches.csv -o p.h5
+      mocap-calib smooth keypoints/ --rig rig.toml --matches matches.csv --smooth bones -o p.h5
+    """
+    from mocap_calib.config import Config, PosesConfig
+    from mocap_calib.stages import smooth
+    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli.screen import Reporter
+
+    outputs.check_poses(typed.output)
+    config = Config(poses=PosesConfig(smooth=typed.smooth))
+    with Reporter(quiet=typed.quiet) as reporter:
+        rig, loaded, matches, _ = inputs.read_matched_recording(typed, reporter)
+        outputs.check_individuals(typed.output, matches.individuals)
+        poses = smooth(loaded.recording, rig, matches, config, progress=reporter)
+    outputs.write_poses(typed.output, poses, loaded.recording, "smooth")

@@ -1,0 +1,88 @@
+"""Commands of click: a function that gets what was typed, as one record of values.
+
+`@as_command("match", output_text("matches"), "rig", "quiet")` makes a command of a function, with
+these parameters in this order: names of shared options, or parameters of click that are its own.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from mocap_calib_cli.options import SHARED
+
+
+class Typed:
+    """What was typed, under the names of Python; None or () of what a command does not have.
+
+    texts: name -> the texts of what the command line, or a file of options, gives.
+    """
+
+    def __init__(
+        self, found: Mapping[str, Any], texts: Mapping[str, list[str]] | None = None
+    ) -> None:
+        vars(self).update(found)
+        self.texts = dict(texts or {})
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what stands for an option that the command does not have."""
+        if name not in SHARED:
+            raise AttributeError(name)
+        return () if getattr(SHARED[name], "multiple", False) else None
+
+    def replace(self, found: dict[str, Any], texts: Mapping[str, Any]) -> "Typed":
+        """Return this with other values, and the texts of these."""
+        more = {name: _list_texts(each) for name, each in texts.items()}
+        return Typed(vars(self) | found, self.texts | more)
+
+
+Run = Callable[[Typed], int | None]
+
+
+class Command(click.Command):
+    """A command whose function gets what was typed, and returns an exit status, or nothing."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Keep the texts of what is given beside their values."""
+        typed, _, _ = self.make_parser(ctx).parse_args(list(args))
+        rest = super().parse_args(ctx, args)
+        said = {
+            ParameterSource.COMMANDLINE: typed,
+            ParameterSource.DEFAULT_MAP: ctx.default_map or {},
+        }
+        sources = {name: ctx.get_parameter_source(name) for name in ctx.params}
+        ctx.meta["texts"] = {
+            name: _list_texts(said[source][name])
+            for name, source in sources.items()
+            if source in said
+        }
+        return rest
+
+
+def _list_texts(value: Any) -> list[str]:
+    """Return the values of a parameter as the command line has them."""
+    if isinstance(value, bool):
+        return [str(value).lower()]
+    return [str(each) for each in value] if isinstance(value, list | tuple) else [str(value)]
+
+
+def as_command(name: str, *params: str | click.Parameter) -> Callable[[Run], Command]:
+    """Make a command of a function; its docstring is the help.
+
+    params: names of shared options, and parameters of its own.
+    """
+
+    def make(function: Run) -> Command:
+        def call(**found: Any) -> None:
+            context = click.get_current_context()
+            context.exit(function(Typed(found, context.meta["texts"])) or 0)
+
+        return Command(
+            name,
+            params=[SHARED[each] if isinstance(each, str) else each for each in params],
+            callback=call,
+            help=function.__doc__,
+        )
+
+    return make
