@@ -253,6 +253,7 @@ def test_gradients_of_the_losses_are_those_of_differences():
 
     vector, _, *rays = two_views(6)
     geometric = lambda v: geometric_loss(matrix_from_vector(v), *rays, torch.ones(6).double())  # noqa: E731
+    assert geometric(vector) < 2e-4 < geometric(vector + 0.1)  # measured 8e-5
     assert torch.autograd.gradcheck(matching, (random(3, 3).sigmoid().requires_grad_(),))
     assert torch.autograd.gradcheck(geometric, ((vector + 0.1 * random(3)).requires_grad_(),))
 
@@ -269,44 +270,13 @@ def test_random_rotations_are_uniform():
     assert angle.mean().item() == pytest.approx(np.pi / 2 + 2 / np.pi, abs=0.02)
 
 
-# the whole system of the paper, in the benchmarks
-
-
-@pytest.fixture
-def whole_system(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    return import_module("paper.full_system")
-
-
-def test_the_whole_system_is_a_loss_of_the_same_minimiser(whole_system):
-    """Both forms are zero at the truth, and descent from the same start ends there with either."""
-    vector, _, *rays = two_views(7)
-    weight = torch.ones(7).double()
-    batched = *(each[None] for each in rays), weight[None]
-    forms = (
-        lambda r: geometric_loss(r, *rays, weight),
-        lambda r: whole_system.full_geometric_loss(r[None], *batched)[0],
-    )
-    near = (vector + 0.1 * random(3)).requires_grad_()
-    assert torch.autograd.gradcheck(lambda v: forms[1](matrix_from_vector(v)), (near,))
-    for form in forms:
-        assert form(matrix_from_vector(vector)) < 2e-4  # measured 8e-5, of the reduced form
-        found = (vector + torch.tensor([0.05, -0.04, 0.06])).requires_grad_()
-        optimiser = torch.optim.Adam([found], lr=0.01)
-        schedule = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.005, 100)
-        for _ in range(100):
-            optimiser.zero_grad()
-            form(matrix_from_vector(found)).backward()
-            optimiser.step()
-            schedule.step()
-        assert (found - vector).norm() < 2e-3
-
-
-def test_the_whole_system_without_its_points_is_the_small_one_but_for_weights(whole_system):
+def test_the_papers_whole_system_without_its_points_is_the_small_one_but_for_weights(monkeypatch):
     """min over the points of |A [x t]|^2 is t' S t, S = sum (1 + 1 / (2 |n|^2)) n n', at any R."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     vector, _, rays_a, rays_b = two_views(7)
     rotation = matrix_from_vector(vector + 0.3)
-    system = whole_system.collinearity_system(rotation, rays_a, rays_b)
+    whole = import_module("paper.full_system")
+    system = whole.collinearity_system(rotation, rays_a, rays_b)
     square = system.T @ system
     inner, mixed, outer = square[:-3, :-3], square[:-3, -3:], square[-3:, -3:]
     schur = outer - mixed.T @ torch.linalg.solve(inner, mixed)
@@ -366,20 +336,6 @@ def test_errors_of_the_solver_are_in_pixels():
     config = PaperConfig(iterations=3, tries=1)
     errors = [solve(replace(views, focal=f), config, vector + 0.1).error for f in (100.0, 200.0)]
     assert errors[1] == pytest.approx(2 * errors[0])
-
-
-def test_the_solver_takes_the_whole_system_as_well(whole_system):
-    """8 steps on one frame from 10 degrees away: both come nearer, on ways of their own."""
-    views, vector, _ = steered_scene()
-    views = replace(views, rays_a=views.rays_a[:1], rays_b=views.rays_b[:1])
-    start, config = vector + 0.1, PaperConfig(iterations=8, tries=1, geometric_from=0.0)
-    whole, small = (
-        solve(views, replace(config, geometric_loss=loss), start).rotation
-        for loss in (whole_system.full_geometric_loss, geometric_loss)
-    )
-    before = turn_deg(matrix_numpy(start.numpy()), vector)
-    assert max(turn_deg(each, vector) for each in (whole, small)) < 0.8 * before
-    assert np.degrees(angle_between(whole, small)) > 0.01
 
 
 def test_the_solver_tries_until_its_first_success_and_is_deterministic():

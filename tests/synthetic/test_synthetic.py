@@ -272,7 +272,7 @@ def by_individual(made: mc.Scene, values: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("layout", "shuffle"), [("coco17", False), ("all", True)])
 def test_without_flaws_detections_are_the_projection(distortion, layout, shuffle):
     """Of each individual who shows four joints, in an order of their own where shuffled."""
-    config = replace(CLEAN, frames=30, distortion=distortion, layout=layout, shuffle=shuffle)
+    config = replace(CLEAN, frames=150, distortion=distortion, layout=layout, shuffle=shuffle)
     made = mc.simulate(config)
     expected = true_pixels(made)
     expected[np.isfinite(expected[..., 0]).sum(-1) < 4] = np.nan
