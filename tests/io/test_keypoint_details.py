@@ -634,6 +634,14 @@ STORES = {
         ),
         "fits 2 orders",
     ),
+    "axes by the number of tracks": Case(
+        stored(
+            "sleap",
+            dict.fromkeys(("point_scores", "track_occupancy"))
+            | {"tracks": P[:2].transpose(1, 3, 2, 0)},
+        ),
+        {"positions": P[:2]},
+    ),
     "axes that are named": Case(
         stored("sleap", AXES, P2, C2), {"positions": P2[:2], "confidence": C2[:2]}
     ),
