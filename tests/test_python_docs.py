@@ -63,6 +63,9 @@ def test_page(folder, capsys):
     assert np.linalg.norm(centres[0] - centres[1]) == pytest.approx(6.12)
     # the same rig and the same detections; the file has the rig with all digits
     assert names["matches"] == names["group"].matches
+    staged = names["staged_rig"]  # in the world of the first camera
+    assert np.degrees(mc.evaluate(staged, names["rig"]).rotation_error).max() < 0.05
+    assert names["filtered"].positions.shape == names["staged_poses"].positions.shape
     written = {path.name for path in folder.iterdir()}
     assert {"Calib.toml", "model", "poses_0.trc", "poses_1.trc", "poses.nc", "openpose"} <= written
 
