@@ -14,8 +14,8 @@ from forked_command import ForkedCommand
 from scenes import scene
 from threadpoolctl import threadpool_limits
 
-import mocap_calib.front  # noqa: F401 - binds rig.project and others, as the front door does
-from mocap_calib.io.crash_guard import _calls
+import mocap_calib as mc
+from mocap_calib.io.crash_guard import end_calls
 from mocap_calib.io.results.scene import write_scene
 
 # as the commands do: further threads of the libraries only spin when the machine has other work
@@ -25,6 +25,7 @@ threadpool_limits(1)
 # a shell starts a job in the background with SIGINT ignored, which the commands would inherit
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+assert mc.CameraRig.project  # the front door binds what rooms above `results` do to records
 TOOL = Path(sys.executable).with_name("mocap-calib")
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -45,8 +46,8 @@ def two_processors(monkeypatch: pytest.MonkeyPatch) -> None:
 def _kept_coverage() -> Iterator[None]:
     """End the process that reads HDF5 with each file: what damage ends does not say what it ran."""
     yield
-    if "COVERAGE_RUN" in os.environ and (worker := _calls.for_small):
-        worker.end()
+    if "COVERAGE_RUN" in os.environ:
+        end_calls()
 
 
 @pytest.fixture(scope="session")

@@ -1,26 +1,22 @@
-"""Real recordings with reference calibrations, where they are at hand: the project's figures as a
-regression test.
+"""Real recordings with reference calibrations: the project's figures as a regression test.
 
-Judging reads truth and reference; no stage does (test_no_truth.py).
+MOCAP_CALIB_RECORDINGS names their folder (benchmarks/README.md). Judging reads truth and reference;
+no stage does.
 """
 
-import tomllib
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import PEOPLE, calibrate_group, precision, rotation_errors_deg
+from scenes import precision, rotation_errors_deg
 
-from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras.read import read_cameras
-from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.types import CameraRig
+import mocap_calib as mc
 
-RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
+RECORDINGS = Path(os.environ.get("MOCAP_CALIB_RECORDINGS", "none"))
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings are not at hand"),
+    pytest.mark.skipif(not RECORDINGS.is_dir(), reason="MOCAP_CALIB_RECORDINGS names no folder"),
 ]
 
 # name, bounds of median and largest rotation error (degrees), bound of the matching precision
@@ -41,26 +37,16 @@ FIGURES = [
 )
 def test_recording(name, median, largest, least_precision):
     folder = RECORDINGS / name
-    views = read_keypoints([folder / "keypoints"])
-    found = make_recording(views, read_cameras(folder / "intrinsics.toml"), PEOPLE, {})
-    result = calibrate_group(found)
-    reference, names = read_reference(folder / "reference.toml", result.rig)
-    errors = rotation_errors_deg(result.rig, reference)
+    found = mc.read_recording(folder / "keypoints", folder / "intrinsics.toml")
+    (group,) = mc.calibrate(found).groups
+    reference = mc.read_rig(folder / "reference.toml")
+    errors = rotation_errors_deg(group.rig, reference.select(group.rig.names))
     assert np.median(errors) <= median
     assert errors.max() <= largest
-    frames, instances = result.matches.labels.shape[1:]
-    ids = np.load(folder / "truth.npz")["ids"][[names.index(n) for n in result.rig.names]]
-    identity = np.full((len(ids), ids.shape[1], max(instances, ids.shape[2])), -1)
-    identity[..., : ids.shape[2]] = ids
-    identity = identity[:, found.frames, :instances]
-    assert identity.shape[1] == frames
-    assert precision(result.matches.labels, identity) >= least_precision
-
-
-def read_reference(path: Path, like: CameraRig) -> tuple[CameraRig, list[str]]:
-    """The reference in the order of a rig, and the names in the file's own order."""
-    entries = [e for e in tomllib.loads(path.read_text()).values() if "rotation" in e]
-    by_name = {e["name"]: e for e in entries}
-    rotation = matrix_from_vector(np.array([by_name[n]["rotation"] for n in like.names], float))
-    translation = np.array([by_name[n]["translation"] for n in like.names], float)
-    return CameraRig(like.cameras, rotation, translation, "arbitrary"), [e["name"] for e in entries]
+    labels = group.matches.labels
+    views = [reference.names.index(each) for each in group.rig.names]
+    ids = np.load(folder / "truth.npz")["ids"][views][:, found.frames]
+    instances = labels.shape[2]
+    identity = np.full(labels.shape, -1)
+    identity[..., : ids.shape[2]] = ids[..., :instances]
+    assert precision(labels, identity) >= least_precision

@@ -13,7 +13,7 @@ from mocap_calib.notebook.colours import COLOURS, UNASSIGNED, colour_of, rgb
 from mocap_calib.overlay.drawing import View, camera_lines, floor_lines, resize
 from mocap_calib.overlay.make import make_overlays
 from mocap_calib.overlay.results import CameraResults, Results, read_results
-from mocap_calib.overlay.video import Video, _Pace
+from mocap_calib.overlay.video import Video, read_frames
 from mocap_calib.types import Camera, CameraClock, Floats, World
 
 FRAMES = 12  # of the videos
@@ -135,14 +135,38 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
         read_results(tmp_path)
 
 
-def test_a_variable_frame_rate_is_refused_with_the_way_to_mend_it():
+class Capture:
+    """A video of blank frames at times in milliseconds, as OpenCV shows it."""
+
+    def __init__(self, times: list[float]) -> None:
+        self.times, self.index = times, -1
+
+    def isOpened(self) -> bool:
+        return True
+
+    def grab(self) -> bool:
+        self.index += 1
+        return self.index < len(self.times)
+
+    def get(self, _: int) -> float:
+        return self.times[self.index]
+
+    def retrieve(self) -> tuple[bool, np.ndarray]:
+        return True, np.zeros((2, 2, 3), np.uint8)
+
+    def release(self) -> None:
+        pass
+
+
+def test_a_variable_frame_rate_is_refused_with_the_way_to_mend_it(monkeypatch):
     """Frames 33 ms apart, of which one in ten was dropped: 27 a second in the mean."""
-    pace = _Pace(Video(Path("a.mp4"), (640, 480), 27.0, 100))
-    times = [1000 / 30 * k for k in range(30) if k % 10 != 9]
+    dropped = Capture([1000 / 30 * k for k in range(30) if k % 10 != 9])
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: dropped)
     with pytest.raises(MismatchError, match=r"66.7 ms before frame 9: .* -fps_mode cfr -r 27 "):
-        [pace.check(*each) for each in enumerate(times)]
-    steady = _Pace(Video(Path("a.mp4"), (640, 480), 29.97, 100))
-    [steady.check(k, float(round(1001 / 30 * k))) for k in range(100)]  # as Matroska rounds
+        list(read_frames(Video(Path("a.mp4"), (640, 480), 27.0, 100), None))
+    steady = Capture([float(round(1001 / 30 * k)) for k in range(100)])  # as Matroska rounds
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: steady)
+    assert len(list(read_frames(Video(Path("a.mp4"), (640, 480), 29.97, 100), None))) == 100
 
 
 def test_frames_belong_to_moments_by_the_clock_of_the_camera(found):

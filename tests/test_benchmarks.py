@@ -1,0 +1,428 @@
+"""Benchmarks: tables from results to the page, cases with a truth, and what publishers have.
+
+Nothing here needs a recording.
+"""
+
+import json
+import subprocess
+import sys
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scenes import moved, scene, turn_camera
+from scipy.io import savemat
+
+import mocap_calib as mc
+from benchmarks import machines
+from benchmarks.paper import __main__ as paper
+from benchmarks.paper import cells, tables
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """Imports a script of benchmarks/, beside which it finds others."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    return import_module
+
+
+# --- the paper's tables
+
+
+def committed():
+    text = paper.RESULTS.read_text("utf-8")
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_the_page_has_the_tables_of_the_committed_results():
+    text = paper.PAGE.read_text("utf-8")
+    assert tables.insert_tables(text, committed()) == text
+    marked = [found[2] for found in tables.MARKED.finditer(text)]
+    assert sorted(marked) == sorted(tables.TABLES)
+
+
+def test_the_auc_and_its_interval():
+    """Half of the pairs perfect and half wrong: 0.5, and 1.96 sqrt(1/4 / 400) on both sides."""
+    errors = np.repeat([0.0, 180.0], 200)
+    assert tables.auc(errors, 0 * errors, 20) == pytest.approx(0.5)
+    assert tables.auc_interval(errors, errors, 20) == pytest.approx((0.451, 0.549), abs=0.006)
+    assert tables.auc(np.full(3, 9.5), np.zeros(3), 20) == pytest.approx(11 / 20)
+
+
+def line(size, error, **changes):
+    cell = {"group": "pairs", "what": "dog", "scenario": "4x1", "method": "ours", "size": size}
+    found = {"rotation": [error] * size, "translation": [error] * size, "matched": 4, "right": 3}
+    return cell | found | {"seconds": 0.25, "processor_s": 1.0, "machine": "one"} | changes
+
+
+def test_a_cell_has_the_largest_measurement_and_slow_methods_do_not_compete():
+    lines = [line(9, 1.5), line(7, 90.0), line(9, 0.5, method="gone"), line(5, 3.0, what="rat")]
+    lines += [line(9, 9.5, method="magsac"), line(6, 0.5, method="paper-factorised")]
+    magsac, slow, ours = (
+        [cell.strip() for cell in row.strip("| ").split("|")]
+        for row in tables.TABLES["four"](tables.Results(lines)).splitlines()[2:]
+    )
+    assert (magsac[0], magsac[2]) == ("magsac", "0.550")
+    assert (slow[0], slow[2]) == ("paper-factorised", "1.000")
+    assert (ours[0], ours[2], ours[5]) == ("ours", "**0.950**", "**0.850**")
+    full = tables.full_table(tables.Results(lines))
+    assert "| pairs/dog/4x1/ours | 9 | 1.00 | 1.00 | 0.950 [0.95, 0.95] |" in full
+
+
+def test_the_costs_follow_from_the_largest_measurement(capsys):
+    asked = [cells.Cell("pairs", "dog", "4x1", name, 30) for name in ("ours", "magsac")]
+    paper.print_costs(asked, [line(10, 1.0, processor_s=4.0), line(2, 1.0, processor_s=9.0)])
+    said = capsys.readouterr()
+    assert said.out == "pairs/dog/4x1/ours 30 12\npairs/dog/4x1/magsac 30 -\n"
+    assert said.err == "12 s of the processor for 1 of 2 cells\n"
+
+
+def test_cells_and_tables_need_no_data(monkeypatch, capsys, tmp_path):
+    """All else does, and says so before anything is measured."""
+    monkeypatch.delenv("MOCAP_CALIB_RECORDINGS", raising=False)
+    results, page = tmp_path / "results.jsonl", tmp_path / "page.md"
+    results.write_text(json.dumps(line(9, 1.5)) + "\n")
+    page.write_text("<!-- table: four -->\nstale\n<!-- end of table -->\n")
+    given = ["paper.py", "dog/4x1/ours", "--results", str(results), "--page", str(page)]
+    monkeypatch.setattr(sys, "argv", [*given, "--list"])
+    paper.main()
+    assert capsys.readouterr().out.startswith("pairs/dog/4x1/ours 100 11\n")
+    for options, status in ((["--tables"], 0), ([], 2)):
+        monkeypatch.setattr(sys, "argv", [*given, *options])
+        with pytest.raises(SystemExit) as ended:
+            paper.main()
+        assert ended.value.code == status
+    assert "expected --poses and --recordings" in capsys.readouterr().err
+    assert "stale" not in page.read_text()
+    assert "| ours | - | **0.950** |" in page.read_text()
+
+
+def test_ours_is_measured_wherever_the_others_are():
+    """Also where it is behind: among misplaced points."""
+    measured = cells.plan(cells.WHOLE, quick=False)
+    scenarios = {(each.what, each.scenario) for each in measured if each.method}
+    ours = {(each.what, each.scenario) for each in measured if each.method == "ours"}
+    assert ours == scenarios
+    assert ("people", cells.WRONG) in ours
+
+
+def test_a_line_says_when_and_of_which_commit(monkeypatch, tmp_path):
+    """When alone, where there is no git."""
+    moment = machines.describe_moment.__wrapped__
+    assert set(moment()) <= {"commit", "date"}
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert set(moment()) == {"date"}
+
+
+@pytest.mark.slow
+def test_what_is_there_is_not_measured_again(tmp_path):
+    """A run, the same again, and one without data: files of results, tables, one line on stderr."""
+    results, page = tmp_path / "results.jsonl", tmp_path / "page.md"
+    page.write_text("<!-- table: four -->\nstale\n<!-- end of table -->\n")
+    results.write_text(json.dumps(line(2, 1.5, method="magsac")) + "\n")
+    command = [sys.executable, "-m", "benchmarks.paper", "dog/4x1/magsac", "--pairs", "2"]
+    command += ["--results", results, "--page", page, "--out", tmp_path / "figures"]
+    command += ["--poses", tmp_path / "nowhere", "--recordings", tmp_path, "--workers", "1"]
+    said = subprocess.run(
+        [str(word) for word in command],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env={"PYTHONPATH": f"{ROOT}:{ROOT / 'cli'}"},
+    )
+    assert said.returncode == 1
+    assert f"{tmp_path / 'nowhere' / 'train_dog_mocap'}: expected data there" in said.stderr
+    assert len(results.read_text().splitlines()) == 1
+    assert "| magsac | - | **" in page.read_text()
+    assert "stale" not in page.read_text()
+
+
+# --- cases with a truth, and what is right of a verdict
+
+
+def test_errors_know_no_similarity_and_are_turns_and_shifts(script):
+    errors = script("certainty")
+    rig = scene(cameras=4, people=1).rig
+    same, _, _ = moved(rig, np.random.default_rng(0))
+    assert np.abs(errors.rig_error(same, rig)).max() < 1e-9
+    wrong = turn_camera(same, 2, 2.0)
+    found = np.degrees(np.linalg.norm(errors.rig_error(wrong, rig), axis=1))
+    # the best similarity takes a share of it: one camera of four, 2 deg before
+    assert 1.0 < found[2] < 2.0
+    assert found[2] > 2 * np.delete(found, 2).max()
+    assert errors.worst_pair_deg(wrong, rig) == pytest.approx(2.0)
+
+
+def test_distances_of_draws_from_a_covariance_are_those_of_three_degrees_of_freedom(script):
+    errors = script("certainty")
+    rng = np.random.default_rng(0)
+    factor = rng.normal(size=(3, 3))
+    covariance = np.zeros((500, 3, 500, 3))
+    covariance[np.arange(500), :, np.arange(500), :] = factor @ factor.T
+    distance = errors.mahalanobis(rng.normal(size=(500, 3)) @ factor.T, covariance)
+    assert 2.6 < np.mean(distance) < 3.4  # 3, and a standard error of 0.11
+
+
+def test_cases_are_always_the_same_and_of_all_kinds(script):
+    cases = script("certainty_cases")
+    made, again = (list(cases.degenerate_cases(2)) for _ in range(2))
+    assert [case.kind for case in made] == 2 * list(cases.KINDS)
+    assert len({case.name for case in made}) == len(made)
+    by_name, same = ({case.name: case for case in cases} for cases in (made, again))
+    few = by_name["1_to_3_frames-1"].make()
+    assert few.views == same["1_to_3_frames-1"].make().views
+    assert len(few.record().frames) == 2
+    copied = by_name["duplicate-0"].make()
+    with pytest.raises(mc.MismatchError, match="cam1 and cam2 have the same detections"):
+        copied.record()
+    first, second = copied.truth[0].centres[:2]
+    assert (first == second).all()
+    still = by_name["static-1"].make().views[0].positions
+    assert np.nanmax(np.abs(np.diff(still, axis=0))) < 1.0  # 0.1 px of noise: 7 sigma of it
+    ahead = by_name["facing_pair-0"].make().truth[0].rotation[:, 2, :2]
+    assert np.dot(*ahead) < -0.7 * np.linalg.norm(ahead[0])
+    assert len(by_name["unrelated-0"].make().truth) == 2
+
+
+def judged(kind, *groups, refused=""):
+    found = [
+        {"verdict": verdict, "pair_deg": error, "true": error is not None}
+        for verdict, error in groups
+    ]
+    return {"kind": kind, "refused": refused, "groups": found}
+
+
+@pytest.mark.parametrize(
+    ("case", "right"),
+    [
+        (judged("static", ("well determined", 2.9)), True),
+        (judged("static", ("well determined", 3.1)), False),
+        (judged("static", ("usable", 8.0)), True),
+        (judged("static", ("usable", 12.0)), False),
+        (judged("noise only", ("not determined", 170.0)), True),
+        (judged("noise only", ("weak", 170.0)), False),
+        (judged("unrelated", ("weak", None)), False),
+        (judged("unrelated", ("well determined", 0.1), ("usable", 20.0)), False),
+        (judged("duplicate", refused="the same detections"), True),
+        (judged("sound", refused="nothing"), False),
+        (judged("sound", ("not determined", 0.2)), False),
+        (judged("sound", ("not determined", 4.0)), True),
+        (judged("sound", ("weak", 0.2)), True),
+    ],
+)
+def test_a_verdict_is_right_where_it_promises_no_more_than_is_so(script, case, right):
+    assert script("certainty").is_right(case) == right
+
+
+# --- recordings of publishers
+
+
+ONE = {"cameras": 3, "people": 1, "false_detections": 0.0}
+
+
+@pytest.fixture
+def run(script, monkeypatch, tmp_path):
+    made = scene(**ONE)
+    mc.write(made.rig, tmp_path / "rig.toml")
+
+    def run(*words):
+        words = [tmp_path / "out", "--cameras", tmp_path / "rig.toml", *words]
+        monkeypatch.setattr(sys, "argv", ["x", *map(str, words)])
+        script("recording_of_publisher").main()
+        return tmp_path / "out", made
+
+    return run
+
+
+def points_of(keypoints):
+    return {file.camera: file.positions for file in mc.read_keypoints(keypoints)}
+
+
+def test_panoptics_bodies_are_projected_each_into_its_own_row(run, tmp_path):
+    """Two frames; the second person is in the second alone, without a joint."""
+    rng = np.random.default_rng(1)
+    bodies = rng.uniform(-0.4, 0.4, (2, 19, 3)) + [0, 0, 1]
+    source = tmp_path / "hd"
+    source.mkdir()
+    for frame in range(2):
+        rows = np.concatenate([bodies, np.ones((2, 19, 1))], -1)
+        rows[1, 4] = -1
+        listed = [{"id": 7 + k, "joints19": rows[k].ravel().tolist()} for k in range(frame + 1)]
+        (source / f"body3DScene_{frame:08d}.json").write_text(json.dumps({"bodies": listed}))
+    folder, made = run("--panoptic", source, "--noise", "0")
+    truth = np.load(folder / "truth.npz")
+    assert truth["poses3d"].shape == (2, 2, 19, 3)
+    assert (truth["ids"][:, 0].max(), truth["ids"][:, 1].max()) == (0, 1)
+    rig = mc.read_rig(folder / "reference.toml")
+    np.testing.assert_allclose(rig.rotation, made.rig.rotation, atol=1e-9)
+    assert [c.name for c in mc.read_cameras(folder / "intrinsics.toml")] == list(rig.names)
+    points = points_of(folder / "keypoints")
+    for view, (camera, expected) in enumerate(zip(rig.cameras, rig.project(bodies), strict=True)):
+        expected[1, 4] = np.nan
+        found = points[camera.name]
+        seen = truth["ids"][view] >= 0
+        assert seen.sum() == 3
+        who = truth["ids"][view][seen]
+        np.testing.assert_allclose(found[seen], expected[who], atol=0.051)  # 0.1 px in the file
+
+
+def test_arrays_of_two_animals_and_chosen_cameras(run, tmp_path):
+    bodies = np.random.default_rng(0).uniform(-0.3, 0.3, (2, 9, 4, 3)) + [0, 0, 1]
+    for number, body in enumerate(bodies):
+        np.savez(tmp_path / f"{number}.npz", a=body)
+    sources = [f"{tmp_path}/{number}.npz:a" for number in range(2)]
+    words = ["--bodies", *sources, "--joints", "a,b,c,d", "--every", "2", "--kind", "rodent"]
+    with pytest.raises(SystemExit, match="cam3, found 'nobody'"):
+        run(*words, "--views", "nobody")
+    names = scene(**ONE).rig.names
+    folder, _ = run(*words, "--views", f"{names[2]},{names[0]}")
+    truth = np.load(folder / "truth.npz")
+    assert truth["ids"].shape == (2, 5, 2)
+    assert list(truth["kinds"]) == ["rodent", "rodent"]
+    np.testing.assert_allclose(truth["poses3d"][:, 1], bodies[1][::2], atol=1e-6)
+    assert mc.read_rig(folder / "reference.toml").names == (names[2], names[0])
+
+
+def test_detections_of_one_subject_stay_as_they_are(run, tmp_path):
+    made = scene(**ONE)
+    found = tmp_path / "found"
+    found.mkdir()
+    for file in made.files:
+        mc.write(file, found / f"{file.camera}.json", format="coco")
+    folder, _ = run("--detections", found)
+    ids, points, before = (
+        np.load(folder / "truth.npz")["ids"],
+        points_of(folder / "keypoints"),
+        points_of(found),
+    )
+    for view, name in enumerate(made.rig.names):
+        np.testing.assert_allclose(points[name], before[name], atol=0.051)  # 0.1 px in the file
+        seen = np.isfinite(before[name]).all(-1).any(-1)
+        assert (ids[view][seen] == 0).all()
+        assert (ids[view] >= 0).sum() == seen.sum()
+    with pytest.raises(SystemExit, match="expected bodies in body3DScene"):
+        run("--panoptic", found)
+    several = scene(cameras=3, people=2).files[0]
+    mc.write(several, found / "cam1.json", format="coco")
+    with pytest.raises(SystemExit, match="expected one detection in a frame, found several"):
+        run("--detections", found)
+
+
+# --- poses of publishers
+
+
+# a person of straight bones, in a stance: name, parent, direction, length, turn of its axes
+LEG = [("femur", "hipjoint", (0.34202, -0.939693, 0), 7, 20), ("tibia", "femur", (0, -1, 0), 7, 0)]
+LEG += [("foot", "tibia", (0, -0.6, 0.8), 2, 0), ("toes", "foot", (0, 0, 1), 1, 0)]
+ARM = [("clavicle", "thorax", (0.8, 0.6, 0), 3, 0), ("humerus", "clavicle", (1, 0, 0), 5, 0)]
+ARM += [("radius", "humerus", (1, 0, 0), 4, 0), ("hand", "radius", (1, 0, 0), 1, 0)]
+SPINE = ["root", "lowerback", "upperback", "thorax", "lowerneck", "upperneck", "head"]
+
+
+@pytest.fixture
+def people(script):
+    return script("poses_of_people")
+
+
+def described():
+    bones = [(name, parent, (0, 1, 0), 2, 0) for parent, name in pairwise(SPINE)]
+    for side, sign in (("l", 1), ("r", -1)):
+        bones.append((f"{side}hipjoint", "root", (sign * 0.8, -0.6, 0), 2, 0))
+        for name, parent, (x, y, z), length, turn in LEG + ARM:
+            own = parent if parent == "thorax" else side + parent
+            bones.append((side + name, own, (sign * x, y, z), length, sign * turn))
+    return bones
+
+
+def write_subject(folder, motion):
+    lines = [":version 1.10", ":units", "  mass 1.0", "  length 0.45", "  angle deg"]
+    lines += [":root", "  order TX TY TZ RX RY RZ", ":bonedata"]
+    for number, (name, _, direction, length, turn) in enumerate(described()):
+        lines += ["  begin", f"    id {number}", f"    name {name}"]
+        lines += [f"    direction {' '.join(map(str, direction))}", f"    length {length}"]
+        lines += [f"    axis 0 0 {turn}  XYZ", "    dof rx ry rz", "    limits (-9 9)"]
+        lines += ["           (-9 9)", "  end"]
+    lines += [":hierarchy", "  begin"]
+    lines += [f"    {parent} {name}" for name, parent, *_ in described()] + ["  end"]
+    folder.mkdir()
+    (folder / f"{folder.name}.asf").write_text("\n".join(lines))
+    (folder / f"{folder.name}_01.amc").write_text("#!OML\n:DEGREES\n" + motion)
+
+
+MOTION = """1
+root 3 20 5 0 0 0
+ltibia 0 0 0
+2
+root 9 20 -4 0 90 0
+ltibia 0 0 0
+3
+root 3 20 5 0 0 0
+ltibia 90 0 0
+"""
+
+
+def test_a_person_stands_turns_and_bends_a_knee(people, tmp_path):
+    """Frames: the stance, the same turned by 90 deg about the vertical elsewhere, a knee bent."""
+    write_subject(tmp_path / "07", MOTION)
+    metres, bones = people.read_skeleton(tmp_path / "07" / "07.asf")
+    motion = people.read_motion(tmp_path / "07" / "07_01.amc", 1)
+    joints = people.joints_of(bones, *people.place(bones, motion, metres))
+    assert metres == pytest.approx(0.0254 / 0.45)
+    assert set(joints) == set(scene().joints)
+    still = {name: place[0] for name, place in joints.items()}
+    assert np.allclose(still["mid_hip"][:2], 0)
+    thigh = np.linalg.norm(still["left_knee"] - still["left_hip"])
+    assert thigh == pytest.approx(7 * metres, rel=1e-5)
+    for name in ("eye", "ear", "shoulder", "hip", "small_toe"):  # left is +x; people look along -y
+        assert still[f"left_{name}"][0] > 0 > still[f"right_{name}"][0]
+    assert still["nose"][1] < still["neck"][1] - 0.05
+    assert still["head_top"][2] > still["nose"][2] > still["neck"][2] > still["spine"][2]
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    for name, place in joints.items():
+        np.testing.assert_allclose(place[1], turn @ place[0], atol=1e-9, err_msg=name)
+    shank = joints["left_ankle"] - joints["left_knee"]
+    assert shank[2] @ shank[0] == pytest.approx(0, abs=1e-9)
+    assert shank[2][1] > 0.3  # metres: a knee that bends by +x about the left takes the foot back
+    assert joints["left_heel"][:2, 2].min() >= -1e-9
+
+
+def test_the_file_trains_and_holds_subjects_out(people, tmp_path):
+    for name in ("01", "02", "07"):
+        write_subject(tmp_path / name, MOTION.replace("ltibia 90 0 0", ""))
+    with pytest.raises(mc.FormatError, match="expected an Acclaim motion"):
+        people.collect(tmp_path, 1)  # the last frame lacks a bone
+    for name in ("01", "02", "07"):
+        (tmp_path / name / f"{name}_01.amc").write_text("1\nroot 0 20 0 0 0 0\n" * 4)
+    np.savez(tmp_path / "made.npz", **people.collect(tmp_path, 2))
+    made = np.load(tmp_path / "made.npz")
+    assert {*made["split"].tolist()} == {"test", "train", "val"}
+    assert made["poses"].shape == (6, 29, 3)
+    assert np.isfinite(made["poses"]).all()
+    with pytest.raises(mc.FormatError, match=r"expected motions such as .*, found none"):
+        people.collect(tmp_path / "07", 1)
+
+
+def test_arrays_of_any_order_become_a_set(script, tmp_path):
+    arrays = script("poses_of_arrays")
+    poses = np.random.default_rng(0).normal(size=(7, 4, 3))
+    rows = [{"data": poses.reshape(7, 12)}]
+    savemat(tmp_path / "a.mat", {"pred": poses.transpose(0, 2, 1), "label": {"own": rows}})
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["tracks"] = poses[:, None]
+    np.savez(tmp_path / "a.npz", poses=poses.transpose(2, 1, 0))
+    for source in ("a.mat:pred", "a.h5:tracks", "a.npz:poses", "a.mat:label.own.data"):
+        np.testing.assert_array_equal(arrays.read_clip(f"{tmp_path}/{source}", 4), poses)
+    with pytest.raises(mc.FormatError, match="expected poses of 5 points, found shape"):
+        arrays.as_poses(poses, 5, tmp_path)
+    with pytest.raises(mc.FormatError, match="expected an array pred"):
+        arrays.read_array(tmp_path / "a.h5", "pred")
+    (tmp_path / "names.yaml").write_text("model: {KP_NAMES: [a, b]}")
+    assert arrays.names_of(str(tmp_path / "names.yaml"), "model.KP_NAMES") == ["a", "b"]
+    with pytest.raises(mc.FormatError, match="expected a list of names at model"):
+        arrays.names_of(str(tmp_path / "names.yaml"), "model")
