@@ -230,6 +230,9 @@ def test_steps_that_come_evenly_are_another_rate(lost, kind):
 def test_a_clock_that_shows_nothing_or_is_beyond_the_window_is_not_known(own, rate, window, kind):
     timing = timing_of(own, rate=rate)
     assert describe_clock("c", timing, 0, NUMBERS[:, :30], SURE, window=window).kind == kind
+    unsure = {**SURE, "margin": 0.0}  # another offset fits as well
+    found = describe_clock("c", timing, 0, NUMBERS[:, :30], unsure, window=window)
+    assert found.kind == "not known"
 
 
 def test_what_is_left_of_a_clock_is_added_to_what_was_found():
