@@ -164,7 +164,10 @@ def _speak_utf8() -> None:
 
 
 def _run_command() -> int:
-    """Run the command and return the exit status."""
+    """Run the command and return the exit status.
+
+    Where the reader of stdout has gone, click ends with status 1, in silence.
+    """
     try:
         # without standalone mode click leaves errors to us
         status = group.main(prog_name="mocap-calib", standalone_mode=False)
@@ -175,9 +178,6 @@ def _run_command() -> int:
         if isinstance(error.__cause__, EOFError):  # click takes it for an interruption
             raise
         return _complain("interrupted", 130)
-    except BrokenPipeError:
-        sys.stdout = None  # the reader has gone: flushing at exit would complain
-        return 1
     return status or 0
 
 
