@@ -17,6 +17,7 @@ from mocap_calib.io.missing import MISSING_CUSTOMS, mark_missing
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 NO_SCORE = "no scores in the file: every point counts fully"
+ABSENT_FRAMES = "frames without a detection are not in the file"
 MOST_INSTANCES = 1000  # in a frame
 MOST_POINTS = 100_000_000  # in a camera: 2.4 GB
 _POINTS_AT_A_TIME = 50_000
@@ -24,6 +25,7 @@ _MOST_CAMERAS = 200  # in a file; the time to compare views grows with the squar
 _MOST_KEYPOINTS = 5000
 LARGEST_FRAME = 2**62  # so that the difference of two frame numbers is an int64 as well
 LARGEST_EXACT_FLOAT = 2**53  # whole numbers beyond it are not exact in a float
+_PLAIN_DIGITS = 18  # of a number that no limit concerns
 _MOST_DIGITS = 30  # of a frame number that is looked at
 _SUFFIX_OR_ZEROS = r"\.[A-Za-z]\w*$|^(?P<whole>[0-9]+)\.0+$"  # `.png`, or `.0` of a whole number
 _NOT_WHOLE = r"-[0-9.]+|[0-9]*\.[0-9]+"
@@ -107,6 +109,8 @@ def frame_number(name: str) -> int:
 
     `a/b_007.png` is 7; -1 stands for a text with neither.
     """
+    if name.isascii() and name.isdigit() and len(name) < _PLAIN_DIGITS:
+        return int(name)
     stem = re.sub(_SUFFIX_OR_ZEROS, lambda found: found["whole"] or "", name.strip())
     if re.fullmatch(_NOT_WHOLE, stem):
         return -1

@@ -1,45 +1,61 @@
-"""Turn DeepLabCut's table of labelled columns into detections, whichever file it came from.
+"""Read and write DeepLabCut's tables of labelled columns, and read SuperAnimal's JSON.
 
-Lightning Pose writes the same. Traps: tables are jagged (an individual may lack body parts), so
-columns are found by label and not by position; the pseudo-individual `single` holds the unique
-body parts of a scene (corners, levers); SuperAnimal's `animal0`, `animal1`, ... are detections in
-any order; labelled frames have no likelihood; tables of 3D poses differ only by a column `z`.
+Lightning Pose writes the same tables. Traps of all of them: tables are jagged (an individual may
+lack body parts), so columns are found by label and not by position; the pseudo-individual `single`
+holds the unique body parts of a scene (corners, levers); SuperAnimal's `animal0`, `animal1`, ...
+are detections in any order; labelled frames have no likelihood; tables of 3D poses differ only by
+a column `z`.
+
+Traps of the .csv: 3 or 4 header rows; the index takes one column (a frame number or an image path)
+or three (folder, video, image), the latter two without a heading; the row `scorer` is shorter than
+the others in some files; Lightning Pose adds a last column `set`; spreadsheets write semicolons and
+decimal commas.
+
+Traps of SuperAnimal's JSON, a list of frames with a list of individuals in each: individuals come
+in any order; keypoints have no names (the .h5 beside it has them); the frame number is the place
+in the list.
 """
 
+import csv
+import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.document import Document
 from mocap_calib.io.file import NO_SCORE, Origin, check_size, frame_number, make_view
+from mocap_calib.io.format import Format
+from mocap_calib.io.keypoints.losses import SCORES, SIZES
+from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.keypoints.per_frame import is_list_of, typed, view_of_frames
+from mocap_calib.io.table import read_header, read_table
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 LEVELS_OF_ONE = ("scorer", "bodyparts", "coords")  # of a table of one animal
 COORDS = ("x", "y", "likelihood")
 _NO_PART, _NO_LIKELIHOOD = -1, -2  # in the place of a column
-_DIGITS = 18  # of a number that int64 holds
 _UNIQUE = "single"  # the pseudo-individual of unique body parts
 _AGAIN = "export it from DeepLabCut again"
-
+_SCORER = "mocap-calib"
+_FIRST_CELL = re.compile(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]')
 # what ensemble Kalman smoothers write beside the coordinates
 _SPREAD = re.compile(r"[xy]_(ens_median|ens_var|posterior_var|var)|zscore|nll|ensemble_std")
 
-# (individual, body part) -> coordinate -> column
-Columns = dict[tuple[str, str], dict[str, int]]
-
 
 @dataclass(frozen=True)
-class Table:
+class LabelledTable:
     """What the files hold.
 
     levels: names of the header rows.
     columns: each column's labels, one per level.
     rows: frame numbers or image paths, as text.
     values: `[row, column]`, NaN where a cell is empty.
-    lines: where the rows are in the file, as messages say it; empty where the file has no lines.
+    lines: where the rows are in the file, as messages have it; empty where the file has no lines.
     """
 
     levels: tuple[str, ...]
@@ -49,7 +65,7 @@ class Table:
     lines: Sequence[str] = ()
 
 
-def keypoints_from_table(table: Table, origin: Origin) -> Keypoints2D:
+def view_of_table(table: LabelledTable, origin: Origin) -> Keypoints2D:
     """Return the detections of a table: one instance per individual, in the order of the columns.
 
     The pseudo-individual `single` is left out when it shares no body part with the others.
@@ -57,24 +73,33 @@ def keypoints_from_table(table: Table, origin: Origin) -> Keypoints2D:
     """
     source = origin.source
     columns = _columns_by_label(table, source)
-    individuals = _individuals(columns)
-    left_out = sorted({part for name, part in columns if name not in individuals})
-    columns = {label: coords for label, coords in columns.items() if label[0] in individuals}
-    parts = tuple(dict.fromkeys(part for _, part in columns))
-    places = np.full((len(individuals), len(parts), len(COORDS)), _NO_PART)
-    for (name, part), coords in columns.items():
-        places[individuals.index(name), parts.index(part)] = [
-            coords.get(c, _NO_LIKELIHOOD) for c in COORDS
-        ]
-    check_size(len(table.rows), len(individuals), len(parts), source)
+    names = list(dict.fromkeys(name for name, _ in columns))
+    others = {part for name, part in columns if name != _UNIQUE}
+    unique = {part for name, part in columns if name == _UNIQUE}
+    remarks = []
+    if unique and others and not unique & others:
+        names.remove(_UNIQUE)
+        left_out = ", ".join(sorted(unique))
+        remarks.append(f"unique body parts belong to no individual and are left out: {left_out}")
+    parts = tuple(dict.fromkeys(part for name, part in columns if name in names))
+    places = np.full((len(names), len(parts), len(COORDS)), _NO_PART)
+    for (name, part), column_of in columns.items():
+        if name in names:
+            found = [column_of.get(coord, _NO_LIKELIHOOD) for coord in COORDS]
+            places[names.index(name), parts.index(part)] = found
+    if not any("likelihood" in column_of for column_of in columns.values()):
+        remarks.append(NO_SCORE)
+    check_size(len(table.rows), len(names), len(parts), source)
+    # SuperAnimal's, whom no one follows
+    in_any_order = len(names) > 1 and all(re.fullmatch(r"animal[0-9]+", name) for name in names)
     return make_view(
         origin,
         parts,
         _frame_numbers(table.rows, source),
         _select(table.values, places),
-        tracked=not _are_in_any_order(individuals),
+        tracked=not in_any_order,
         rows=table.lines or table.rows,
-        remarks=_remarks(table, left_out),
+        remarks=tuple(remarks),
     )
 
 
@@ -92,101 +117,164 @@ def _select(values: Floats, places: Ints) -> Floats:
     return points
 
 
-def _remarks(table: Table, left_out: list[str]) -> tuple[str, ...]:
-    """Return what to say of body parts that are left out and of absent scores."""
-    remarks = []
-    if left_out:
-        parts = ", ".join(left_out)
-        remarks.append(f"unique body parts belong to no individual and are left out: {parts}")
-    coords = table.levels.index("coords")
-    if not any(labels[coords] == "likelihood" for labels in table.columns):
-        remarks.append(NO_SCORE)
-    return tuple(remarks)
-
-
-def _columns_by_label(table: Table, source: str) -> Columns:
-    """Return the columns of each body part. Raises FormatError."""
+def _columns_by_label(table: LabelledTable, source: str) -> dict[tuple[str, str], dict[str, int]]:
+    """Return (individual, body part) -> coordinate -> column. Raises FormatError."""
     levels = set(table.levels)
     if not {"bodyparts", "coords"} <= levels or not levels <= set(LEVELS):
-        raise FormatError(
-            source,
-            f"header rows among {', '.join(LEVELS)}",
-            ", ".join(table.levels) or "none",
-            _AGAIN,
-        )
-    columns: Columns = {}
+        found = ", ".join(table.levels) or "none"
+        raise FormatError(source, f"header rows among {', '.join(LEVELS)}", found, _AGAIN)
+    columns: dict[tuple[str, str], dict[str, int]] = {}
     for column, labels in enumerate(table.columns):
         label = dict(zip(table.levels, labels, strict=True))
         if _SPREAD.fullmatch(label["coords"]):
             continue
-        coords = columns.setdefault((label.get("individuals", ""), label["bodyparts"]), {})
-        if label["coords"] in coords:
-            raise FormatError(
-                source,
-                "each column once",
-                f"{' '.join(labels)} twice",
-                "keep the columns of one scorer",
-            )
-        coords[label["coords"]] = column
-    _check_coords(columns, source)
+        column_of = columns.setdefault((label.get("individuals", ""), label["bodyparts"]), {})
+        if label["coords"] in column_of:
+            found = f"{' '.join(labels)} twice"
+            raise FormatError(source, "each column once", found, "keep the columns of one scorer")
+        column_of[label["coords"]] = column
+    coords = {coord for column_of in columns.values() for coord in column_of}
+    if "z" in coords:
+        expected, remedy = "2D keypoints (x, y, likelihood)", "give the 2D file of each camera"
+        raise FormatError(source, expected, "3D ones (x, y, z)", remedy)
+    all_have_positions = all({"x", "y"} <= column_of.keys() for column_of in columns.values())
+    if not columns or not all_have_positions or not coords <= set(COORDS):
+        expected = "columns x, y and perhaps likelihood for each body part"
+        raise FormatError(source, expected, ", ".join(sorted(coords)) or "none", _AGAIN)
     return columns
-
-
-def _check_coords(columns: Columns, source: str) -> None:
-    """Raise FormatError where body parts have other coordinates than x, y and likelihood."""
-    found = sorted({coord for coords in columns.values() for coord in coords})
-    if "z" in found:
-        raise FormatError(
-            source,
-            "2D keypoints (x, y, likelihood)",
-            "3D ones (x, y, z)",
-            "give the 2D file of each camera",
-        )
-    all_have_positions = all({"x", "y"} <= coords.keys() for coords in columns.values())
-    if not columns or not all_have_positions or not set(found) <= set(COORDS):
-        raise FormatError(
-            source,
-            "columns x, y and perhaps likelihood for each body part",
-            ", ".join(found) or "none",
-            _AGAIN,
-        )
-
-
-def _individuals(columns: Columns) -> list[str]:
-    """Return the individuals, without `single` where it shares no body part with the others."""
-    names = list(dict.fromkeys(name for name, _ in columns))
-    others = {part for name, part in columns if name != _UNIQUE}
-    unique = {part for name, part in columns if name == _UNIQUE}
-    if others and not unique & others:
-        return [name for name in names if name != _UNIQUE]
-    return names
-
-
-def _are_in_any_order(individuals: list[str]) -> bool:
-    """Return whether these are SuperAnimal's `animal0`, `animal1`, ..., whom nobody follows."""
-    return len(individuals) > 1 and all(re.fullmatch(r"animal[0-9]+", name) for name in individuals)
 
 
 def _frame_numbers(rows: Sequence[str], source: str) -> Ints:
     """Return the `[row]` frame numbers. Raises FormatError."""
     if not rows:
         raise FormatError(source, "at least one row of data", "none", _AGAIN)
-    if all(row.isascii() and row.isdigit() and len(row) <= _DIGITS for row in rows):
-        return np.array([int(row) for row in rows], dtype=np.int64)
     folders = list(dict.fromkeys(row.replace("\\", "/").rpartition("/")[0] for row in rows))
     if len(folders) > 1:
-        raise FormatError(
-            source,
-            "images of one folder, which is a video",
-            f"those of {folders[0]} and {folders[1]}",
-            "give one file per camera",
-        )
+        found = f"those of {folders[0]} and {folders[1]}"
+        expected = "images of one folder, which is a video"
+        raise FormatError(source, expected, found, "give one file per camera")
     numbers = [frame_number(row) for row in rows]
-    if min(numbers) < 0:
-        raise FormatError(
-            source,
-            "each row to begin with a frame number or a numbered image",
-            rows[numbers.index(min(numbers))],
-            "mend the first column",
-        )
+    if -1 in numbers:
+        expected = "each row to begin with a frame number or a numbered image"
+        raise FormatError(source, expected, rows[numbers.index(-1)], "correct the first column")
     return np.array(numbers, dtype=np.int64)
+
+
+# --- csv
+
+
+def sniff_csv(document: Document) -> bool:
+    """Return whether the first cell names a header row.
+
+    The wrong separator is recognised so that `read_csv` can refuse it in words.
+    """
+    return _FIRST_CELL.match(document.start[:64]) is not None
+
+
+def read_csv(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Read the camera of a DeepLabCut or Lightning Pose .csv. Raises FormatError."""
+    header: dict[str, list[str]] = {}
+    for cells in read_header(document, len(LEVELS)):
+        if cells[0] not in LEVELS:
+            break
+        header[cells[0]] = cells
+    headed = [column for column, cell in enumerate(header.get("coords", ())) if column and cell]
+    if not headed:
+        found = document.head.splitlines()[0][:60]
+        expected = "commas between cells and a header row `coords`"
+        raise document.refuse(expected, found, "export it with commas")
+    first, end = headed[0], headed[-1] + 1
+    levels = tuple(level for level in LEVELS if level in header)
+    labels = [(header[level] + [""] * end)[first:end] for level in levels]
+    # no one needs the scorers
+    if any("" in row for level, row in zip(levels, labels, strict=True) if level != "scorer"):
+        raise document.refuse("header rows of one length", "an empty cell among them", _AGAIN)
+    index, numbers = range(first), range(first, end)
+    table = read_table(document, texts=index, numbers=numbers, header_rows=len(header))
+    cells_of_row = list(zip(*map(table.text, index), strict=True))
+    labelled = LabelledTable(
+        levels=levels,
+        columns=tuple(zip(*labels, strict=True)),
+        rows=list(map("/".join, cells_of_row)),
+        values=table.numbers,
+        lines=[
+            f"row {line} ({cells[-1]})"
+            for line, cells in zip(table.lines, cells_of_row, strict=True)
+        ],
+    )
+    return (view_of_table(labelled, document.origin),)
+
+
+def write_csv(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
+    """Write `<camera>.csv` with frame numbers and empty cells for missing points."""
+    return {f"{view.camera}.csv": _format_csv(view) for view in views}
+
+
+def _format_csv(view: Keypoints2D) -> bytes:
+    table = table_of_view(view)
+    cells = np.where(np.isnan(table.values), "", table.values.astype(str)).tolist()
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    labels = zip(*table.columns, strict=True)
+    writer.writerows([level, *row] for level, row in zip(table.levels, labels, strict=True))
+    writer.writerows([frame, *row] for frame, row in zip(table.rows, cells, strict=True))
+    return text.getvalue().encode()
+
+
+def table_of_view(view: Keypoints2D) -> LabelledTable:
+    """Return the labelled columns of a camera."""
+    frames, instances, keypoints = view.confidence.shape
+    seen = np.isfinite(view.positions[..., :1])
+    triples = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
+    values = np.where(seen, triples, np.nan).reshape(frames, instances * keypoints * 3)
+    individuals = [(f"individual{k + 1}",) for k in range(instances)] if instances > 1 else [()]
+    columns = tuple(
+        (_SCORER, *individual, keypoint, coord)
+        for individual in individuals
+        for keypoint in view.keypoints
+        for coord in COORDS
+    )
+    levels = LEVELS if instances > 1 else LEVELS_OF_ONE
+    return LabelledTable(levels, columns, list(map(str, view.frames)), values)
+
+
+CSV = Format(
+    kind="keypoints",
+    name="deeplabcut-csv",
+    title="DeepLabCut and Lightning Pose .csv",
+    sniff=sniff_csv,
+    read=read_csv,
+    write=write_csv,
+    endings=(".csv",),
+    followed=True,
+    loses=(SIZES, SCORES),
+)
+
+
+# --- SuperAnimal
+
+
+class _Frame(msgspec.Struct):
+    """The x, y and likelihood of the body parts of each individual."""
+
+    bodyparts: list[list[tuple[float | None, float | None, float | None]]]
+
+
+def sniff_superanimal(document: Document) -> bool:
+    """Return whether this is a list of objects with `bodyparts`."""
+    return is_list_of(document.json, "bodyparts")
+
+
+def read_superanimal(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Read one camera. Raises FormatError."""
+    detections = [frame.bodyparts for frame in typed(document, list[_Frame])]
+    return (view_of_frames(document, options, range(len(detections)), detections),)
+
+
+SUPERANIMAL = Format(
+    kind="keypoints",
+    name="superanimal",
+    title="DeepLabCut SuperAnimal .json",
+    sniff=sniff_superanimal,
+    read=read_superanimal,
+)

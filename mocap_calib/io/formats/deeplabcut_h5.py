@@ -1,24 +1,31 @@
-"""Read DeepLabCut's .h5: a pandas table inside HDF5, read without pandas.
+"""Read and write DeepLabCut's .h5: a pandas table inside HDF5, without pandas.
 
 Traps: there are two layouts, `table` and `fixed`. The `table` layout keeps the labels of the
 columns as pickles, and unpickling runs whatever the file says: the unpickler here knows lists,
 tuples, text and numbers and refuses everything else. More than 64 kB of labels do not fit an
 attribute: pandas then dies and leaves a table without content. PyTables can compress with blosc,
 which h5py does not have.
+
+Written is the `fixed` layout, which needs no pickles; DeepLabCut reads both layouts.
 """
 
 import io
 import pickle
 from typing import Any, Never
 
+import h5py
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
-from mocap_calib.io.formats import deeplabcut_writer
-from mocap_calib.io.formats.deeplabcut import LEVELS, LEVELS_OF_ONE, Table, keypoints_from_table
+from mocap_calib.io.formats.deeplabcut import (
+    LEVELS,
+    LEVELS_OF_ONE,
+    LabelledTable,
+    table_of_view,
+    view_of_table,
+)
 from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters, text
 from mocap_calib.io.keypoints.losses import SCORES, SIZES
 from mocap_calib.io.keypoints.options import ReadOptions
@@ -26,6 +33,22 @@ from mocap_calib.types import Floats, Keypoints2D
 
 _CSV_INSTEAD = "use the .csv that DeepLabCut writes next to it"
 _DISTRUST = f"do not trust this file; {_CSV_INSTEAD}"
+_KEY = "df_with_missing"
+_PICKLED_NONE = b"N."  # which PyTables looks for in ASCII
+# attributes of PyTables and pandas, without which they do not read the file
+_FILE = {"CLASS": b"GROUP", "PYTABLES_FORMAT_VERSION": b"2.1", "TITLE": b"", "VERSION": b"1.0"}
+_ARRAY = {"CLASS": b"ARRAY", "FLAVOR": b"numpy", "TITLE": b"", "VERSION": b"2.4"}
+_GROUP = {
+    "CLASS": b"GROUP",
+    "TITLE": b"",
+    "VERSION": b"1.0",
+    "encoding": b"UTF-8",
+    "errors": b"strict",
+    "axis0_variety": b"multi",
+    "axis1_variety": b"regular",
+    "block0_items_variety": b"multi",
+    "pandas_type": b"frame",
+}
 
 Labels = tuple[str, ...]  # of a column, one per level
 
@@ -40,105 +63,68 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 
     Raises FormatError.
     """
-    source = document.source
-    with damage_refused(source, "a whole DeepLabCut .h5", _CSV_INSTEAD):
-        table = _read_table(document.hdf5, source)
-    return (keypoints_from_table(table, document.origin),)
+    with damage_refused(document.source, "a whole DeepLabCut .h5", _CSV_INSTEAD):
+        table = _read_table(document.hdf5, document)
+    return (view_of_table(table, document.origin),)
 
 
-def _read_table(file: Any, source: str) -> Table:
+def _read_table(file: Any, document: Document) -> LabelledTable:
     """Return the one pandas table of an open file. Raises FormatError."""
-    group = _only_pandas_group(file, source)
-    _check_pickles(group, source)
-    require_filters(group, source, _CSV_INSTEAD)
-    kind = text(group.attrs["pandas_type"])
-    if kind == "frame_table":
-        return _from_table_layout(group, source)
-    if kind == "frame":
-        return _from_fixed_layout(group)
-    raise FormatError(source, "a pandas DataFrame", f"a {kind}", _CSV_INSTEAD)
-
-
-def _only_pandas_group(file: Any, source: str) -> Any:
-    """Return the group of the one pandas table. Raises FormatError."""
     keys = [key for key, item in file.items() if "pandas_type" in item.attrs]
     if not keys:
-        raise FormatError(
-            source,
-            "a pandas table as DeepLabCut writes it",
-            f"HDF5 with {', '.join(map(str, file)) or 'nothing'}",
-            "export DeepLabCut .csv or COCO",
-        )
+        found, remedy = document.describe()[0], "export DeepLabCut .csv or COCO"
+        raise document.refuse("a pandas table as DeepLabCut writes it", found, remedy)
     if len(keys) > 1:
-        raise FormatError(
-            source,
-            "one pandas table",
-            f"{len(keys)}: {', '.join(keys)}",
-            "which one? keep that one, or give its .csv",
-        )
-    return file[keys[0]]
+        found, remedy = f"{len(keys)}: {', '.join(keys)}", "keep one of them, or give its .csv"
+        raise document.refuse("one pandas table", found, remedy)
+    group = file[keys[0]]
+    _check_pickles(group, document)
+    require_filters(group, document.source, _CSV_INSTEAD)
+    kind = text(group.attrs["pandas_type"])
+    if kind == "frame_table":
+        return _from_table_layout(group, document)
+    if kind == "frame":
+        return _from_fixed_layout(group)
+    raise document.refuse("a pandas DataFrame", f"a {kind}", _CSV_INSTEAD)
 
 
-# pandas' `table` layout
-
-
-def _from_table_layout(group: Any, source: str) -> Table:
+def _from_table_layout(group: Any, document: Document) -> LabelledTable:
     """Return the table of a group in the `table` layout. Raises FormatError."""
     if "table" not in group:
-        raise FormatError(source, "a table", "an aborted write without one", _CSV_INSTEAD)
+        raise document.refuse("a table", "an aborted write without one", _CSV_INSTEAD)
     dataset = group["table"]
     blocks = sorted(name for name in dataset.dtype.names if name.startswith("values_block_"))
     if "index" not in dataset.dtype.names or not blocks:
-        raise FormatError(
-            source,
-            "the columns index and values_block_0",
-            ", ".join(dataset.dtype.names),
-            _CSV_INSTEAD,
-        )
+        found = ", ".join(dataset.dtype.names)
+        raise document.refuse("the columns index and values_block_0", found, _CSV_INSTEAD)
     columns: list[Labels] = []
     for name in blocks:
-        labels_of_block = _unpickle(dataset.attrs[f"{name}_kind"], source)
+        labels_of_block = _unpickle(dataset.attrs[f"{name}_kind"], document)
         columns += [tuple(map(text, labels)) for labels in labels_of_block]
     content = dataset[...]
-    rows = list(map(text, content["index"]))
     values = [content[name].reshape(len(content), -1).astype(np.float64) for name in blocks]
-    levels = _levels_of_table_layout(group, columns, source)
-    return _make_table(levels, columns, rows=rows, values=np.concatenate(values, axis=1))
-
-
-def _levels_of_table_layout(group: Any, columns: list[Labels], source: str) -> Labels:
-    """Return the names of the levels; the usual ones where the file has none."""
+    levels: Labels = LEVELS if columns and len(columns[0]) == len(LEVELS) else LEVELS_OF_ONE
     if "info" in group.attrs:
-        info = _unpickle(group.attrs["info"], source)
-        return tuple(map(text, info[1]["names"]))
-    if columns and len(columns[0]) == len(LEVELS):
-        return LEVELS
-    return LEVELS_OF_ONE
+        levels = tuple(map(text, _unpickle(group.attrs["info"], document)[1]["names"]))
+    rows = list(map(text, content["index"]))
+    return _make_table(levels, columns, rows, np.concatenate(values, axis=1))
 
 
-# pandas' `fixed` layout
-
-
-def _from_fixed_layout(group: Any) -> Table:
+def _from_fixed_layout(group: Any) -> LabelledTable:
     """Return the table of a group in the `fixed` layout."""
     levels: Labels = ()
     columns: list[Labels] = []
-    blocks = []
-    for block in range(_count_blocks(group)):
-        levels, labels = _read_multi_index(group, f"block{block}_items")
+    blocks: list[Any] = []
+    while f"block{len(blocks)}_values" in group:
+        levels, labels = _read_multi_index(group, f"block{len(blocks)}_items")
         columns += labels
-        blocks.append(_read_block(group[f"block{block}_values"]))
+        blocks.append(_read_block(group[f"block{len(blocks)}_values"]))
     if "axis1" in group:
         rows = list(map(text, group["axis1"][...]))
     else:
         rows = ["/".join(labels) for labels in _read_multi_index(group, "axis1")[1]]
     values = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
-    return _make_table(levels, columns, rows=rows, values=values.astype(np.float64, copy=False))
-
-
-def _count_blocks(group: Any) -> int:
-    names = [name for name in group if name.startswith("block") and name.endswith("_values")]
-    return len(names)
+    return _make_table(levels, columns, rows, values.astype(np.float64, copy=False))
 
 
 def _read_block(dataset: Any) -> Any:
@@ -167,18 +153,18 @@ def _read_multi_index(group: Any, name: str) -> tuple[Labels, list[Labels]]:
     return tuple(levels), list(zip(*labels_by_level, strict=True))
 
 
-def _make_table(levels: Labels, columns: list[Labels], *, rows: list[str], values: Floats) -> Table:
+def _make_table(
+    levels: Labels, columns: list[Labels], rows: list[str], values: Floats
+) -> LabelledTable:
     """Return the table of `[row, column]` values. Raises ValueError where lengths do not agree."""
     labelled = all(len(labels) == len(levels) for labels in columns)
     if values.shape != (len(rows), len(columns)) or not labelled:
-        raise ValueError(
-            f"{values.shape} values for {len(rows)} rows and {len(columns)} columns "
-            f"of {len(levels)} labels"
-        )
-    return Table(levels, tuple(columns), rows, values)
+        counted = f"{len(rows)} rows and {len(columns)} columns of {len(levels)} labels"
+        raise ValueError(f"{values.shape} values for {counted}")
+    return LabelledTable(levels, tuple(columns), rows, values)
 
 
-# Pickles
+# --- pickles
 
 
 class _CallError(pickle.UnpicklingError):
@@ -196,50 +182,92 @@ def _load_plain(content: bytes) -> Any:
     return _PlainUnpickler(io.BytesIO(content), encoding="utf-8").load()
 
 
-def _unpickle(content: Any, source: str) -> Any:
+def _unpickle(content: Any, document: Document) -> Any:
     """Return the labels in a pickle. Raises FormatError."""
     if not isinstance(content, bytes):
-        raise FormatError(
-            source, "column labels as pandas stores them", type(content).__name__, _CSV_INSTEAD
-        )
+        found = type(content).__name__
+        raise document.refuse("column labels as pandas stores them", found, _CSV_INSTEAD)
     try:
         return _load_plain(content)
     except Exception as error:  # a damaged pickle can raise anything
-        raise FormatError(source, "column labels", error, _DISTRUST) from None
+        raise document.refuse("column labels", error, _DISTRUST) from None
 
 
-def _check_pickles(group: Any, source: str) -> None:
+def _check_pickles(group: Any, document: Document) -> None:
     """Raise FormatError for pickles that PyTables, and so pandas, would run.
 
     These are attributes that it takes for pickles, and arrays of pickled objects. None of them is
-    run here; but who reads the file in the next program should have been told.
+    run here; but who reads the file in the next program should have been warned.
     """
     items = [group]
-
-    def collect(_: str, item: Any) -> None:
-        items.append(item)
-
-    group.visititems(collect)
+    group.visititems(lambda _, item: items.append(item))
     for item in items:
         for name, value in item.attrs.items():
-            _check_attribute(name, value, source)
+            try:
+                # PyTables' own test
+                if isinstance(value, bytes) and len(value) > 2 and value.endswith(b"."):
+                    _load_plain(value)
+            except _CallError as error:
+                raise document.refuse(f"plain labels in `{name}`", error, _DISTRUST) from None
+            except Exception:
+                continue  # a damaged pickle, or none: nothing that any program runs
         if text(item.attrs.get("PSEUDOATOM", "")) == "object":
-            raise FormatError(
-                source, "arrays of text and numbers", f"pickled objects in `{item.name}`", _DISTRUST
-            )
+            found = f"pickled objects in `{item.name}`"
+            raise document.refuse("arrays of text and numbers", found, _DISTRUST)
 
 
-def _check_attribute(name: str, value: Any, source: str) -> None:
-    """Raise FormatError where an attribute is a pickle that calls something."""
-    looks_like_pickle = isinstance(value, bytes) and len(value) > 2 and value.endswith(b".")
-    if not looks_like_pickle:  # by PyTables' own test
-        return
-    try:
-        _load_plain(value)
-    except _CallError as error:
-        raise FormatError(source, f"plain labels in `{name}`", error, _DISTRUST) from None
-    except Exception:
-        return  # a damaged pickle, or none: nothing that anybody runs
+# --- writing
+
+
+def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
+    """Write `<camera>.h5`."""
+    return {f"{view.camera}.h5": _format(view) for view in views}
+
+
+def _format(view: Keypoints2D) -> bytes:
+    table = table_of_view(view)
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
+        _set_texts(file, _FILE)
+        group = file.create_group(_KEY)
+        _set_texts(group, _GROUP)
+        group.attrs["ndim"] = np.int64(2)
+        group.attrs["nblocks"] = np.int64(1)
+        for index in ("axis0", "block0_items"):
+            group.attrs[f"{index}_nlevels"] = np.int64(len(table.levels))
+            _write_multi_index(group, index, table)
+        _write_array(group, "axis1", view.frames, kind=b"integer")
+        group["axis1"].attrs["name"] = np.bytes_(_PICKLED_NONE)
+        _write_array(group, "block0_values", table.values)
+    return buffer.getvalue()
+
+
+def _write_multi_index(group: Any, name: str, table: LabelledTable) -> None:
+    """Write the columns as the different labels of each level, and codes into them."""
+    for k, labels in enumerate(zip(*table.columns, strict=True)):
+        level, known = table.levels[k].encode(), list(dict.fromkeys(labels))
+        dataset = f"{name}_level{k}"
+        encoded = np.array([label.encode() for label in known])
+        _write_array(group, dataset, encoded, kind=b"string", name=level, nan_rep=b"")
+        _set_texts(group[dataset], {f"{name}_name{table.levels[k]}": level})
+        dtype = np.int8 if len(known) < 128 else np.int16
+        codes = np.array([known.index(label) for label in labels], dtype=dtype)
+        _write_array(group, f"{name}_label{k}", codes)
+
+
+def _write_array(group: Any, dataset: str, values: Any, **attributes: bytes) -> None:
+    group[dataset] = values
+    _set_texts(group[dataset], {**_ARRAY, **attributes})
+    group[dataset].attrs["transposed"] = np.uint8(1)
+
+
+def _set_texts(item: Any, attributes: dict[str, bytes]) -> None:
+    """Set attributes in the types that PyTables reads as text."""
+    for name, value in attributes.items():
+        if value:
+            item.attrs.create(name, value, dtype=h5py.string_dtype("utf-8", len(value)))
+        else:
+            item.attrs[name] = h5py.Empty("S1")
 
 
 HDF5 = Format(
@@ -248,7 +276,7 @@ HDF5 = Format(
     title="DeepLabCut .h5",
     sniff=sniff,
     read=read,
-    write=deeplabcut_writer.write_h5,
+    write=write,
     endings=(".h5",),
     followed=True,
     loses=(SIZES, SCORES),

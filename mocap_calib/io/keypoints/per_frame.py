@@ -5,14 +5,19 @@ Frame numbers and cameras from names, points from lists.
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import find_camera, frame_number
-from mocap_calib.types import Floats
+from mocap_calib.io.file import find_camera, frame_number, make_view, stack_detections
+from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.types import Floats, Keypoints2D
+
+T = TypeVar("T")
 
 
 def frames_of(document: Document) -> tuple[list[str], list[int]]:
@@ -125,3 +130,42 @@ def is_list_of(entries: Any, *keys: str) -> bool:
     if not isinstance(entries, list) or not entries:
         return False
     return all(isinstance(entry, dict) and set(keys) <= entry.keys() for entry in entries[:20])
+
+
+def typed(document: Document, kind: type[T]) -> T:
+    """Return the JSON of a document as records. Raises FormatError with the place in the file."""
+    try:
+        return msgspec.convert(document.json, kind)
+    except (msgspec.ValidationError, OverflowError) as error:
+        said = re.fullmatch(r"Expected (.+), got (.+?) - at `(.+)`", str(error))
+        if said is None:
+            raise document.refuse("JSON as the format has it", error) from None
+        raise document.refuse(f"{said[1]} at {said[3]}", said[2]) from None
+
+
+def view_of_frames(
+    document: Document,
+    options: ReadOptions,
+    frames: Sequence[int],
+    detections: Sequence[Sequence[Any]],
+    *,
+    unambiguous: tuple[str, ...] = (),
+    rows: Sequence[object] | None = None,
+) -> Keypoints2D:
+    """Return the camera of detections in any order whose keypoints have no names.
+
+    frames: `[frame]` numbers.
+    detections: `[keypoint, 3]` x, y and confidence of each detection of each frame.
+    unambiguous: see `choose_layout`. rows: see `make_view`.
+
+    Raises FormatError.
+    """
+    count = max((len(points) for frame in detections for points in frame), default=0)
+    if count == 0:
+        found, remedy = f"none in {len(detections)} frames", "check the detector's output"
+        raise document.refuse("detections in one of its frames", found, remedy)
+    names = choose_layout(
+        count, given=options.layout, source=document.source, unambiguous=unambiguous
+    )
+    values = stack_detections(detections, count, document.source)
+    return make_view(document.origin, names, frames, values, tracked=False, rows=rows)

@@ -5,10 +5,17 @@ Traps: the axes come as MATLAB orders them, or as the user of sleap-io did, whic
 empty frames; tracks without names follow nobody. sleap-io opens several tracks only where each has
 a name, so that detections in any order are written under names that say so, and it saves a project
 only of a file that names a video.
+
+The analysis .csv has a row per detection, and the header
+`track,frame_idx,instance.score,<node>.x,<node>.y,<node>.score,...`. Traps: frames without a
+detection are absent; `track` is empty where no one was followed.
 """
 
 import io
+import itertools
 import json
+from collections import defaultdict
+from collections.abc import Iterator
 from typing import Any
 
 import h5py
@@ -16,11 +23,13 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import blank, fill_missing_scores, make_view
+from mocap_calib.io.file import ABSENT_FRAMES, blank, fill_missing_scores, make_view
 from mocap_calib.io.format import Format
+from mocap_calib.io.formats.tables import Points, views_from_points
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.losses import GAPS, SCORES, SIZES
 from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.table import read_table
 from mocap_calib.types import Floats, Keypoints2D
 
 _REMEDY = "export the analysis .h5 from SLEAP again"
@@ -215,4 +224,46 @@ ANALYSIS = Format(
     write=write,
     endings=(".h5",),
     loses=(SIZES, GAPS, SCORES),
+)
+
+
+# --- csv
+
+
+def sniff_csv(document: Document) -> bool:
+    """Return whether the header has track and frame_idx."""
+    return {"track", "frame_idx"} <= set(document.header)
+
+
+def read_csv(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Read one camera; tracks are individuals where all rows have one. Raises FormatError."""
+    header = document.header
+    nodes = [name.removesuffix(".x") for name in header if name.endswith(".x")]
+    if not nodes or not all(f"{node}.y" in header for node in nodes):
+        remedy = "export the analysis .csv from SLEAP again"
+        raise document.refuse("columns <node>.x and <node>.y", ",".join(header), remedy)
+    columns = [f"{node}.{part}" for node in nodes for part in ("x", "y", "score")]
+    table = read_table(document, texts=("track", "frame_idx"), numbers=columns)
+    frames, tracks = table.text("frame_idx"), table.text("track")
+    tracked = all(tracks)
+    if not tracked:  # a row's number among those of its frame
+        count = defaultdict[str, Iterator[int]](itertools.count)
+        tracks = tuple(str(next(count[frame])) for frame in frames)
+    points = Points(
+        camera=(document.camera,) * (len(nodes) * len(table)),
+        frame=frames * len(nodes),
+        identity=tracks * len(nodes),
+        keypoint=[node for node in nodes for _ in frames],
+        values=table.numbers.reshape(len(table), -1, 3).swapaxes(0, 1).reshape(-1, 3),
+        lines=table.lines * len(nodes),
+    )
+    return views_from_points(points, document, tracked=tracked, remarks=(ABSENT_FRAMES,))
+
+
+TABLE = Format(
+    kind="keypoints",
+    name="sleap-csv",
+    title="SLEAP analysis .csv",
+    sniff=sniff_csv,
+    read=read_csv,
 )

@@ -1,0 +1,284 @@
+"""Read tables with a row per point: the plain one that anything can write, and caliscope's.
+
+The plain table (docs/formats.md) has the columns `camera,frame,individual,keypoint,x,y,score`.
+`individual` names the same body in all frames; a table of detections in any order calls the column
+`instance`. The columns camera, individual (or instance) and score may be absent.
+
+caliscope's xy.csv holds all cameras. Traps: keypoints have numbers instead of names; frames are
+counted by the synchronisation index, which all cameras share; older files call the columns `port`
+and `point_id` instead of `cam_id` and `keypoint_id`; points have no score.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.errors import FormatError, argument
+from mocap_calib.io.document import Document
+from mocap_calib.io.file import (
+    Origin,
+    blank,
+    check_cameras,
+    fill_missing_scores,
+    frame_number,
+    make_view,
+    unique_names,
+)
+from mocap_calib.io.format import Format
+from mocap_calib.io.keypoints.losses import MIXED, SCORES, SIZES
+from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.table import read_table
+from mocap_calib.types import Floats, Ints, Keypoints2D
+
+_NEEDED = {"frame", "keypoint", "x", "y"}
+_KNOWN = ("camera", "frame", "individual", "instance", "keypoint", "x", "y", "score")
+
+
+# --- points
+
+
+@dataclass(frozen=True)
+class Points:
+    """The points of a table, a row each.
+
+    camera: `[row]` name.
+    frame: `[row]` text with the frame number.
+    identity: `[row]` the name of an individual, or the number of an instance.
+    keypoint: `[row]` name; an empty one states only that the frame is there.
+    values: `[row, 3]` x, y, score.
+    lines: `[row]` line numbers in the file.
+    """
+
+    camera: Sequence[str]
+    frame: Sequence[str]
+    identity: Sequence[str]
+    keypoint: Sequence[str]
+    values: Floats
+    lines: Sequence[int]
+
+
+def views_from_points(
+    points: Points, document: Document, *, tracked: bool, remarks: tuple[str, ...] = ()
+) -> tuple[Keypoints2D, ...]:
+    """Return the cameras of the table, in the order in which they appear.
+
+    tracked: `points.identity` names the same individual in all frames.
+
+    Raises FormatError.
+    """
+    rows_of: dict[str, list[int]] = {}
+    for row, camera in enumerate(points.camera):
+        rows_of.setdefault(camera, []).append(row)
+    check_cameras(list(rows_of), document.source)
+    return tuple(
+        _view(points, rows, Origin(camera, document.source), tracked=tracked, remarks=remarks)
+        for camera, rows in rows_of.items()
+    )
+
+
+def _view(
+    points: Points, rows: list[int], origin: Origin, *, tracked: bool, remarks: tuple[str, ...]
+) -> Keypoints2D:
+    """Return the camera of these rows (indices). Raises FormatError."""
+    source = origin.source
+    texts, frame = _code(points.frame, rows)
+    numbers, frame_of_text = np.unique(_frame_numbers(texts, source), return_inverse=True)
+    texts, identity = _code(points.identity, rows)
+    instance_of_text = _instances(texts, tracked=tracked, source=source)
+    texts, keypoint = _code(points.keypoint, rows)
+    names = unique_names([name for name in texts if name], source)
+    values = blank(len(numbers), int(instance_of_text.max()) + 1, len(names), source)
+    keypoint_of_text = np.array([names.index(text) if text else -1 for text in texts])
+    places = np.array(
+        [frame_of_text[frame], instance_of_text[identity], keypoint_of_text[keypoint]]
+    )
+    named = places[2] >= 0
+    places, selected = places[:, named], np.array(rows)[named]
+    flat = np.ravel_multi_index(tuple(places), values.shape[:3])
+    repeated, counts = np.unique(flat, return_counts=True)
+    if (counts > 1).any():
+        same = np.flatnonzero(flat == repeated[counts > 1][0])
+        index, instance, number = places[:, same[0]]
+        lines = ", ".join(str(points.lines[row]) for row in selected[same[:3]])
+        point = f"frame {numbers[index]}, individual {instance}, {names[number]}"
+        found = f"{point} {len(same)} times, in rows {lines}"
+        remedy = "remove the double rows, or tell individuals apart"
+        raise FormatError(source, "each point once", found, remedy)
+    values[tuple(places)] = points.values[selected]
+    values, added = fill_missing_scores(values)
+    return make_view(origin, names, numbers, values, tracked=tracked, remarks=remarks + added)
+
+
+def _code(column: Sequence[str], rows: list[int]) -> tuple[list[str], Ints]:
+    """Return the texts of rows in the order in which they appear, and `[row]` indices of them."""
+    texts = [column[row] for row in rows]
+    code_of = {text: code for code, text in enumerate(dict.fromkeys(texts))}
+    return list(code_of), np.array([code_of[text] for text in texts], dtype=np.int64)
+
+
+def _frame_numbers(texts: list[str], source: str) -> Ints:
+    """Return the `[text]` frame numbers. Raises FormatError."""
+    numbers = [frame_number(text) for text in texts]
+    if -1 in numbers:
+        found = repr(texts[numbers.index(-1)])
+        raise FormatError(source, "a frame number in each row", found, "correct the column")
+    return np.array(numbers, dtype=np.int64)
+
+
+def _instances(names: list[str], *, tracked: bool, source: str) -> Ints:
+    """Return the `[name]` instance index of each name.
+
+    That of an instance is its number. Individuals come by number where each name is a number of
+    its own, else in the order in which they appear. Raises FormatError.
+    """
+    numbers = [int(name) if re.fullmatch("[0-9]{1,9}", name) else -1 for name in names]
+    if tracked:
+        all_differ = len({*numbers} - {-1}) == len(names)
+        return np.unique(numbers, return_inverse=True)[1] if all_differ else np.arange(len(names))
+    if -1 in numbers:
+        expected, remedy = "whole numbers in the column instance", "call the column individual"
+        raise FormatError(source, expected, repr(names[numbers.index(-1)]), remedy)
+    return np.array(numbers, dtype=np.int64)
+
+
+# --- the plain table
+
+
+def sniff(document: Document) -> bool:
+    """Return whether the header has the columns that are needed, whatever separates them.
+
+    The wrong separator is recognised so that `read` can refuse it in words.
+    """
+    return set(_header_cells(document)) >= _NEEDED
+
+
+def _header_cells(document: Document) -> list[str]:
+    """Return the header's cells, whatever separates them."""
+    return [cell.strip() for cell in re.split(r"[,;\t]", ",".join(document.header))]
+
+
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Read each camera in the table; the file's camera where there is no column `camera`.
+
+    Raises FormatError.
+    """
+    header = document.header
+    if tuple(_header_cells(document)) != header:
+        expected = "commas between cells and points in numbers"
+        raise document.refuse(expected, header[0], "export it so")
+    names = set(header)
+    if not _NEEDED <= names <= set(_KNOWN) or {"individual", "instance"} <= names:
+        among = "(individual or instance; camera, they and score may be absent)"
+        expected = f"the columns {','.join(_KNOWN)} {among}"
+        raise document.refuse(expected, ",".join(header), "rename or remove columns")
+    identity = "instance" if "instance" in names else "individual"
+    table = read_table(
+        document, texts=("camera", "frame", identity, "keypoint"), numbers=("x", "y", "score")
+    )
+    cameras = table.text("camera", document.camera)
+    if "camera" in names and "" in cameras:
+        remedy = "fill it, or remove the column"
+        raise table.refuse(cameras.index(""), "the camera's name", "an empty cell", remedy)
+    points = Points(
+        camera=cameras,
+        frame=table.text("frame"),
+        identity=table.text(identity, "0"),
+        keypoint=table.text("keypoint"),
+        values=table.numbers,
+        lines=table.lines,
+    )
+    return views_from_points(points, document, tracked=identity == "individual")
+
+
+def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
+    """Write all cameras into one table.
+
+    The first frame has all individuals and keypoints, the others what there is; a frame without
+    any point has one empty row.
+    """
+    identity = "individual" if all(view.tracked for view in views) else "instance"
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["camera", "frame", identity, "keypoint", "x", "y", "score"])
+    for view in views:
+        for frame, number in enumerate(view.frames.tolist()):
+            seen = np.isfinite(view.positions[frame, ..., 0])
+            listed = np.argwhere(seen | (frame == 0)).tolist()
+            for individual, keypoint in listed:
+                x, y = map(float, view.positions[frame, individual, keypoint])
+                score = float(view.confidence[frame, individual, keypoint])
+                numbers = (x, y, score) if np.isfinite(x) else ("", "", "")
+                name = view.keypoints[keypoint]
+                writer.writerow([view.camera, number, individual, name, *numbers])
+            if not listed:
+                writer.writerow([view.camera, number, 0, "", "", "", ""])
+    return {"keypoints.csv": text.getvalue().encode()}
+
+
+PLAIN = Format(
+    kind="keypoints",
+    name="csv",
+    title="csv with a row per point (camera,frame,individual,keypoint,x,y,score)",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".csv",),
+    loses=(MIXED, SIZES, SCORES),
+)
+
+
+# --- caliscope
+
+
+def sniff_caliscope(document: Document) -> bool:
+    """Return whether the header has the synchronisation index and image positions."""
+    return {"sync_index", "img_loc_x", "img_loc_y"} <= set(document.header)
+
+
+def read_caliscope(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Read the cameras of the table; keypoints are called as the layout says, else by number.
+
+    Raises FormatError.
+    """
+    header = document.header
+    camera = next((name for name in ("cam_id", "port") if name in header), "")
+    keypoint = next((name for name in ("keypoint_id", "point_id") if name in header), "")
+    if not camera or not keypoint:
+        expected = "the columns cam_id (or port) and keypoint_id (or point_id)"
+        raise document.refuse(expected, ",".join(header), "export it from caliscope again")
+    table = read_table(
+        document,
+        texts=(camera, "sync_index", "object_id", keypoint),
+        numbers=("img_loc_x", "img_loc_y", "score"),
+    )
+    keypoints = table.text(keypoint)
+    if options.layout:
+        names = {str(number): name for number, name in enumerate(options.layout)}
+        for row, number in enumerate(keypoints):
+            if number not in names:
+                expected = f"a number of a keypoint below {len(names)}, as many as the layout has"
+                remedy = f"give {argument('layout')} with more names, or leave it out"
+                raise table.refuse(row, expected, number, remedy)
+        keypoints = tuple(names[number] for number in keypoints)
+    points = Points(
+        camera=table.text(camera),
+        frame=table.text("sync_index"),
+        identity=table.text("object_id", "0"),
+        keypoint=keypoints,
+        values=table.numbers,
+        lines=table.lines,
+    )
+    return views_from_points(points, document, tracked=True)
+
+
+CALISCOPE = Format(
+    kind="keypoints",
+    name="caliscope",
+    title="caliscope .csv",
+    sniff=sniff_caliscope,
+    read=read_caliscope,
+)
