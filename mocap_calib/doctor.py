@@ -41,7 +41,7 @@ def examine(*, self_test: bool = True) -> dict[str, Any]:
     with redirect_stdout(sys.stderr):  # OpenCV prints where numpy is broken
         found: dict[str, Any] = {"computer": _describe_computer(), **_import_packages(findings)}
     checks: dict[str, Callable[[], Any]] = {
-        "libraries": _describe_libraries,
+        "libraries": partial(_describe_libraries, findings),
         "devices": _describe_devices,
         "models": partial(_load_models, findings),
         "self_test": partial(_calibrate_known_scene, findings) if self_test else lambda: None,
@@ -146,13 +146,19 @@ def _memory(pages: str) -> float | None:
         return None
 
 
-def _describe_libraries() -> dict[str, str]:
+def _describe_libraries(findings: list[str]) -> dict[str, str]:
     """Compile the kernels, and return the libraries of linear algebra that were loaded for them."""
     from threadpoolctl import threadpool_info
 
-    from mocap_calib.kernels.jit import compile_ahead
+    from mocap_calib.kernels.jit import compile_ahead, is_trusted
 
     compile_ahead()
+    folder = Path(__file__).parent / "kernels/__pycache__"
+    if not is_trusted(folder):
+        findings.append(
+            f"{_without_home(str(folder))}: others can write to it, so that kernels are compiled "
+            "in each run; run chmod -R o-w on it, or remove it"
+        )
     return {
         Path(each["filepath"]).name: f"{each['internal_api']} {each['version'] or ''}, "
         f"{each['num_threads']} threads"

@@ -100,3 +100,9 @@ def test_a_failed_check_is_a_finding_without_the_home_directory(monkeypatch, tmp
     lines = doctor.examine(self_test=False)["findings"]
     assert len(lines) == 4
     assert all(line.startswith("the model ") and str(tmp_path) not in line for line in lines)
+
+
+def test_kept_machine_code_that_others_can_write_is_a_finding(monkeypatch):
+    monkeypatch.setattr("mocap_calib.kernels.jit.is_trusted", lambda _: False)
+    (line,) = doctor.examine(self_test=False)["findings"]
+    assert line.endswith("in each run; run chmod -R o-w on it, or remove it")

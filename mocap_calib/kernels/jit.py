@@ -4,14 +4,18 @@ A kernel is a function of loops over numbers, and the only definition of what it
 hold it to plain numpy (`tests/oracles`). It is compiled for the types of its signature alone, when
 its module is imported for the first time on a machine, and kept in `__pycache__` beside the module,
 or in the folder that NUMBA_CACHE_DIR names (empty it when a file in `SHARED` changes). Kernels
-set arrays in place, without Python's lock. Sums stay in the order in which they are written, and
+set arrays in place, without Python's lock. Kept code is loaded only where nobody but this user and
+root can have written it (`is_trusted`); PYTHONDONTWRITEBYTECODE and PYTHONPYCACHEPREFIX are of
+Python's own code alone. Sums stay in the order in which they are written, and
 results do not depend on the machine.
 """
 
+import os
+import stat
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -26,6 +30,23 @@ Result = TypeVar("Result")
 SHARED = ("jit", "lens", "pose_energy")  # others take functions and sizes of these files
 # no wrapper for callers in C, of which there are none: it takes time to compile
 _compile: Any = partial(numba.njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+
+
+@cache
+def is_trusted(folder: Path) -> bool:
+    """Return whether a folder of machine code, and its files, belong to this user or to root alone.
+
+    Machine code runs as it is found: a kernel whose code others may write is compiled anew in each
+    process.
+    """
+    if not hasattr(os, "geteuid"):  # Windows
+        return True
+    for path in (folder, *folder.glob("*.nb[ic]")):
+        with suppress(FileNotFoundError):  # another process has written it anew
+            found = path.stat()
+            if found.st_uid not in (0, os.geteuid()) or found.st_mode & stat.S_IWOTH:
+                return False
+    return True
 
 
 def drop_stale_code(folder: Path) -> None:
@@ -66,10 +87,11 @@ def kernel(*types: str) -> Callable[[Callable[..., Result]], Callable[..., Resul
 
     def compile_it(function: Callable[..., Result]) -> Callable[..., Result]:
         try:
-            found = _compile(signature, cache=True)(function)
+            found = _compile(cache=True)(function)
+            kept = is_trusted(Path(found.stats.cache_path))
         except RuntimeError:  # no folder to keep it in: each process compiles
-            found = _compile(signature)(function)
-        return cast(Callable[..., Result], found)
+            kept = False
+        return cast(Callable[..., Result], _compile(signature, cache=kept)(function))
 
     return compile_it
 

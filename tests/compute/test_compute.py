@@ -81,6 +81,18 @@ def test_machine_code_is_kept_until_what_kernels_share_is_newer(folder):
     assert not index.exists()
 
 
+@posix
+@pytest.mark.parametrize(("path", "mode"), [("", 0o777), ("*.nbc", 0o666)])
+def test_machine_code_that_others_can_write_is_not_loaded(folder, path, mode):
+    run(folder)
+    cache = folder / "__pycache__"
+    (changed,) = cache.glob(path) if path else [cache]
+    changed.chmod(mode)
+    assert run(folder) == "0.0 2.0 4.0 0"
+    changed.chmod(mode & ~0o022)
+    assert run(folder) == "0.0 2.0 4.0 1"
+
+
 def test_a_kernel_runs_where_no_folder_can_be_written(folder):
     """As root may write anywhere, there is a file in place of each folder."""
     (folder / "__pycache__").write_text("")
