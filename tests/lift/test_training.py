@@ -391,6 +391,11 @@ def test_joints_that_the_data_lack_are_never_seen_and_no_target():
     lifter = LifterModule(ModelConfig(len(RODENT.keypoints), 16, 1))
     lifting_loss(lifter, batch).backward()
     assert all(torch.isfinite(p.grad).all() for p in lifter.parameters())
+    joints, deviation = (part.detach() for part in lifter(batch.pose, batch.seen))
+    other = joints.clone()
+    other[:, column] += 1.0  # what is said of them does not count
+    losses = [lifting_loss(lambda *_, x=x: (x, deviation), batch) for x in (joints, other)]
+    assert losses[0] == losses[1]
 
 
 # the network and its training
