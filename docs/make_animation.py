@@ -24,7 +24,7 @@ from make_picture import (
     text,
 )
 
-from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.types import CameraRig, Floats
 

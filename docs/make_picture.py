@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.notebook.colours import COLOURS

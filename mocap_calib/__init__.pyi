@@ -14,8 +14,8 @@ if TYPE_CHECKING:  # or mypy checks the whole package as one circle
     from mocap_calib.errors import UnderconstrainedCameraError as UnderconstrainedCameraError
     from mocap_calib.front import read_recording as read_recording
     from mocap_calib.front import write as write
-    from mocap_calib.io.cameras.read import read_cameras as read_cameras
-    from mocap_calib.io.cameras.read import read_rig as read_rig
+    from mocap_calib.io.camera_files import read_cameras as read_cameras
+    from mocap_calib.io.camera_files import read_rig as read_rig
     from mocap_calib.io.keypoints.options import ReadOptions as ReadOptions
     from mocap_calib.io.keypoints.read import read_keypoints as read_keypoints
     from mocap_calib.io.poses.read import read_poses as read_poses

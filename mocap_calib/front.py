@@ -16,10 +16,8 @@ from numpy.typing import ArrayLike
 from mocap_calib import __version__
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.lens import project_points
-from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.read import load_cameras
-from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.cameras.write import write_cameras
+from mocap_calib.io.camera_files import CAMERA_FORMATS, load_cameras, write_cameras
+from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.write import write_keypoints

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.camera_files import read_rig
 from mocap_calib.types import CameraRig
 
 ROOT = Path(__file__).parents[1]

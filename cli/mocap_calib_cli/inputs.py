@@ -28,9 +28,9 @@ from mocap_calib.config import (
     WorldConfig,
 )
 from mocap_calib.errors import MismatchError, argument, spell_as_option
-from mocap_calib.io.cameras.read import load_cameras, make_rig
-from mocap_calib.io.cameras.read import read_rig as read_rig_of
-from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.camera_files import load_cameras, make_rig
+from mocap_calib.io.camera_files import read_rig as read_rig_of
+from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.file import decode
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.landmarks_csv import read_landmarks

@@ -96,7 +96,7 @@ class IntrinsicsPath(PathOf):
         self, param: click.Parameter, ctx: click.Context | None = None
     ) -> str | None:
         """Return what intrinsics are, where to get them, and the formats that are read."""
-        from mocap_calib.io.cameras.formats import CAMERA_FORMATS
+        from mocap_calib.io.camera_files import CAMERA_FORMATS
 
         return (
             "Expected a file with the intrinsics of each camera (focal length, principal point, "

@@ -13,10 +13,15 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError, argument, count
 from mocap_calib.io.atomic import check_no_further_individual
-from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
-from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.cameras.write import format_rig, write_cameras
+from mocap_calib.io.camera_files import (
+    CAMERA_FORMATS,
+    format_rig,
+    load_cameras,
+    make_rig,
+    read_rig,
+    write_cameras,
+)
+from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.document import NAMELESS
 from mocap_calib.io.format import (
     ending_of,

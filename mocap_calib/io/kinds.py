@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mocap_calib.errors import MismatchError, argument, suggest
-from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.read import looks_like_cameras
+from mocap_calib.io.camera_files import CAMERA_FORMATS, looks_like_cameras
 from mocap_calib.io.file import plain_path
 from mocap_calib.io.format import (
     Format,

@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.keypoints.filled_table import describe_filled
 from mocap_calib.io.keypoints.items import find_superseded_files
 from mocap_calib.io.keypoints.options import ReadOptions

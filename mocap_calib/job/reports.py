@@ -14,8 +14,8 @@ from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import Reference, ReportSource, Seen
 from mocap_calib.io.atomic import write_bytes
-from mocap_calib.io.cameras.read import read_rig
-from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.camera_files import read_rig
+from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.conversion import load_pose_sources
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.results.group import PAGE, REPORT, group_folder, write_run_json

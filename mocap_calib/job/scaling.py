@@ -16,9 +16,8 @@ from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import FormatError, MismatchError, argument, count
 from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, write_pieces
-from mocap_calib.io.cameras.own import SUBFRAME
-from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
-from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.camera_files import format_rig, load_cameras, make_rig, read_rig
+from mocap_calib.io.formats.own_cameras import SUBFRAME
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.results.group import PAGE, REPORT, read_outputs, write_run_json

@@ -14,8 +14,8 @@ from mocap_calib.compute import identify_program
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import PAIR_SOLVERS, Config
 from mocap_calib.errors import ClusterError, MocapCalibError
-from mocap_calib.io.cameras.read import load_cameras
-from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.camera_files import load_cameras
+from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.file import plain_path
 from mocap_calib.io.hashing import hash_file, hash_inputs
 from mocap_calib.io.provenance import date_of_making

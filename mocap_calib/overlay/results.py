@@ -9,9 +9,9 @@ import numpy as np
 
 from mocap_calib.clocks.estimate import own_frames
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.cameras.own import SUBFRAME
-from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.formats.own_cameras import SUBFRAME
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.results.group import REPORT

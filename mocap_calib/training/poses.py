@@ -17,7 +17,7 @@ from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.errors import DegenerateError, FormatError, MismatchError, argument
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.poses.common import refuse_damage
 from mocap_calib.io.poses.npz import check_sizes
 from mocap_calib.io.poses.read import read_poses

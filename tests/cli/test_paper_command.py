@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from scenes import rotation_errors_deg
 
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.camera_files import read_rig
 from mocap_calib.paper import solver
 from mocap_calib.training.model import TokenSteerer
 from mocap_calib_cli.commands import run, simulate

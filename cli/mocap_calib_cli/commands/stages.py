@@ -67,8 +67,8 @@ def average(typed: Typed) -> None:
       mocap-calib average pairs.json -o rig.yaml
       mocap-calib pairwise keypoints/ --cameras intrinsics.toml | mocap-calib average -
     """
-    from mocap_calib.io.cameras.own import format_cameras_yaml
     from mocap_calib.io.file import decode, read_bytes
+    from mocap_calib.io.formats.own_cameras import format_cameras_yaml
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.pairs_json import pairs_from_json
     from mocap_calib.stages import average
@@ -150,7 +150,7 @@ def adjust(typed: Typed) -> int:
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv -o cameras.yaml
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --matches-out new.csv
     """
-    from mocap_calib.io.cameras.write import format_rig
+    from mocap_calib.io.camera_files import format_rig
     from mocap_calib.io.provenance import hold_for, provenance
     from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.report import run_report, verdict_of_cameras

@@ -179,7 +179,7 @@ def _write(output: str, form: str, given: "CameraRig", found: "Verification") ->
 
     Cameras that nothing places are left out. Of two cameras nobody knows where they are.
     """
-    from mocap_calib.io.cameras.write import write_cameras
+    from mocap_calib.io.camera_files import write_cameras
     from mocap_calib.io.provenance import provenance
 
     if len(found.cameras) == 2 and found.named:

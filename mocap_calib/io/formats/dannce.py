@@ -1,24 +1,50 @@
-"""Read Label3D's and DANNCE's .mat: the points that were clicked, all cameras in one file.
+"""Label3D's and DANNCE's .mat: the points that were clicked, and the cameras.
 
-Traps: keypoints have no names; only some frames are labelled, and `data_frame` says which; points
-have no score; MATLAB 7.3 files are HDF5 of another kind and are refused.
+* Points: keypoints have no names; only some frames are labelled, and `data_frame` says which;
+  points have no score.
+* One file has cells `params`, a struct a camera, and `camnames`; the fields of a file for one
+  camera stand at its top, and its name names the camera (hires_cam1_params.mat).
+* K and r are those of row vectors, as MATLAB has them: the transpose of ours.
+* RDistort has k1 k2 (k3), TDistort has p1 p2. MATLAB estimates a skew, which is noise.
+* Lengths are millimetres; there are no image sizes.
+* Files of version 7.3 are HDF5 of another kind and are refused.
 """
 
-from typing import Any
+import io
+import re
+from collections.abc import Mapping
+from typing import Any, cast
 
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.camera_checks import make_camera, make_extrinsics, numbers, skew_in_pixels
+from mocap_calib.io.cameras import (
+    CameraFile,
+    PlacedCamera,
+    collect_cameras,
+    terms,
+    without_sizes,
+    without_verdict,
+)
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import NO_SCORE, Origin, blank, make_view
-from mocap_calib.io.format import Format
+from mocap_calib.io.format import Format, Written
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.matlab import read_mat
-from mocap_calib.types import Floats, Ints, Keypoints2D
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Keypoints2D
 
 _REMEDY = "save it from Label3D again, for MATLAB 7 (not 7.3)"
 _VARIABLES = ("camnames", "labelData")
+_FIELDS = ("K", "RDistort", "TDistort", "r", "t")
+_MOST_SKEW = 1e-2  # of the focal length: what MATLAB estimates where there is only noise
+_CAMERA_REMEDY = "save params and camnames with `save -v7`"
+_ONE_CAMERA_STEM = r"(?:hires_)?(?P<camera>.+?)(?:_params)?"
+_HEADER = rb"\AMATLAB 5.0 MAT-file.{96}"  # text of 116 bytes, with the time
+
+
+# --- keypoints
 
 
 def sniff(document: Document) -> bool:
@@ -102,10 +128,181 @@ def _frames_and_positions(label: Any, source: str) -> tuple[Ints, Floats]:
     return frames, positions
 
 
+# --- cameras
+
+
+def sniff_cameras(document: Document) -> bool:
+    """Return whether MATLAB wrote the file."""
+    return document.syntax == "binary" and document.content.startswith(b"MATLAB")
+
+
+# --- cameras: reading
+
+
+def read_cameras(document: Document) -> CameraFile:
+    """Read all cameras of a file, or its one camera. Raises FormatError."""
+    params, names = _load(document)
+    placed: list[PlacedCamera] = []
+    notes: list[str] = []
+    for index, fields in enumerate(params):
+        name = names[index] if names else f"Camera{index + 1}"
+        where = f"{document.source}: camera {name}"
+        _check_fields(fields, where)
+        matrix = numbers(fields["K"], "a 3 x 3 matrix K", where).T
+        if _has_noise_skew(matrix):
+            notes.append(_describe_skew(matrix, name))
+            matrix = _remove_skew(matrix)
+        camera = make_camera(
+            name=name,
+            size=None,
+            matrix=matrix,
+            distortion=_parse_distortion(fields, where),
+            fisheye=False,
+            source=where,
+        )
+        rotation = numbers(fields["r"], "a 3 x 3 rotation r", where).T
+        placed.append((camera, make_extrinsics(rotation, fields["t"], where)))
+    return collect_cameras(placed, document.source, notes=notes)
+
+
+def _load(document: Document) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the fields of every camera, and their names, which may be missing.
+
+    Raises FormatError.
+    """
+    if document.content.startswith(b"MATLAB 7.3"):
+        raise FormatError(
+            document.source, "a .mat file of version 7 or below", "version 7.3", _CAMERA_REMEDY
+        )
+    found = read_mat(
+        document.content,
+        ("params", "camnames", *_FIELDS),
+        source=document.source,
+        expected="a .mat file of Label3D or DANNCE",
+        remedy=_CAMERA_REMEDY,
+    )
+    if "params" not in found and found.keys() >= set(_FIELDS):
+        name = re.fullmatch(_ONE_CAMERA_STEM, document.stem)
+        return [found], [name["camera"] if name else document.stem]
+    return _unpack_cells(found, document.source)
+
+
+def _unpack_cells(found: Mapping[str, Any], source: str) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the fields and the names in the cells `params` and `camnames`.
+
+    Raises FormatError.
+    """
+    cells = found.get("params")
+    structs = [_unpack_cell(cell) for cell in cells] if isinstance(cells, list) else []
+    params = [fields for fields in structs if isinstance(fields, dict)]
+    camnames = found.get("camnames")
+    names = [str(name).strip() for name in camnames] if isinstance(camnames, list) else []
+    if not params or len(params) < len(structs) or len(names) not in (0, len(params)):
+        fields = ", ".join(_FIELDS)
+        raise FormatError(
+            source,
+            f"cells params, a camera each, and as many camnames; or {fields} of one camera",
+            f"{len(params)} and {len(names)}",
+            "give the file that has the cameras",
+        )
+    return params, names
+
+
+def _unpack_cell(cell: Any) -> Any:
+    """Return the struct in a cell, which is an array of one struct."""
+    if isinstance(cell, list) and len(cell) == 1:
+        return cell[0]
+    return cell
+
+
+def _check_fields(fields: Mapping[str, Any], where: str) -> None:
+    """Raise FormatError where a field of a camera is missing."""
+    missing = [key for key in _FIELDS if key not in fields]
+    if missing:
+        expected = f"the fields {', '.join(_FIELDS)}"
+        raise FormatError(where, expected, f"none of {', '.join(missing)}", _CAMERA_REMEDY)
+
+
+def _parse_distortion(fields: Mapping[str, Any], where: str) -> Floats:
+    """Return `[4 | 5]` k1 k2 p1 p2 (k3). Raises FormatError."""
+    radial = numbers(fields["RDistort"], "numbers RDistort", where).reshape(-1)
+    tangential = numbers(fields["TDistort"], "numbers TDistort", where).reshape(-1)
+    if len(radial) not in (2, 3) or len(tangential) != 2:
+        found = f"{len(radial)} and {len(tangential)}"
+        raise FormatError(where, "2 or 3 RDistort and 2 TDistort", found, "mend the distortion")
+    return np.concatenate([radial[:2], tangential, radial[2:]])
+
+
+def _has_noise_skew(matrix: Floats) -> bool:
+    """Return whether a camera matrix has a skew so small that it is noise."""
+    if matrix.shape != (3, 3):
+        return False
+    return bool(0 < abs(matrix[0, 1]) < _MOST_SKEW * abs(matrix[0, 0]))
+
+
+def _remove_skew(matrix: Floats) -> Floats:
+    """Return a `[3, 3]` camera matrix without its skew."""
+    plain = matrix.copy()
+    plain[0, 1] = 0.0
+    return plain
+
+
+def _describe_skew(matrix: Floats, name: str) -> str:
+    """Return what the skew that is left out does at the edge of the image."""
+    moved = f"{skew_in_pixels(matrix):.1f} pixels at the edge of the image"
+    return f"camera {name}: the skew {matrix[0, 1]:.2f} is left out, which is up to {moved}"
+
+
+# --- cameras: writing
+
+
+def write_cameras(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
+    """Write one file of all cameras. Raises MismatchError."""
+    from scipy.io import savemat  # noqa: PLC0415 - half of the time that all formats take to import
+
+    params = np.empty((len(rig.cameras), 1), dtype=object)
+    names = np.empty((1, len(rig.cameras)), dtype=object)
+    for view, camera in enumerate(rig.cameras):
+        params[view, 0] = _fields(camera, rig.rotation[view], rig.translation[view])
+        names[0, view] = camera.name
+    file = io.BytesIO()
+    savemat(cast(Any, file), {"params": params, "camnames": names})
+    header = b"MATLAB 5.0 MAT-file".ljust(115)
+    content = re.sub(_HEADER, header, file.getvalue(), flags=re.S)  # the same rig, the same bytes
+    return Written(
+        {"label3d_dannce.mat": content}, (*without_sizes(rig), *without_verdict(provenance))
+    )
+
+
+def _fields(camera: Camera, rotation: Floats, translation: Floats) -> dict[str, Floats]:
+    """Return the struct of a camera, for row vectors. Raises MismatchError.
+
+    rotation: `[3, 3]` and translation: `[3]` of cam_from_world.
+    """
+    k1, k2, p1, p2, k3 = terms(camera, 5, "dannce").tolist()
+    return {
+        "K": camera.matrix.T.copy(),
+        "RDistort": np.array([[k1, k2, k3]]),
+        "TDistort": np.array([[p1, p2]]),
+        "r": rotation.T.copy(),
+        "t": translation[None].copy(),
+    }
+
+
 KEYPOINTS = Format(
     kind="keypoints",
     name="label3d",
     title="Label3D .mat",
     sniff=sniff,
     read=read,
+)
+CAMERAS = Format(
+    kind="cameras",
+    name="dannce",
+    title="Label3D or DANNCE .mat",
+    sniff=sniff_cameras,
+    read=read_cameras,
+    write=write_cameras,
+    unit="mm",
+    endings=(".mat",),
 )

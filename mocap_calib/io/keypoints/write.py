@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mocap_calib.io.atomic import check_no_other_files, write_files
-from mocap_calib.io.cameras.source import FILE_NAME, need_names
+from mocap_calib.io.cameras import FILE_NAME, need_names
 from mocap_calib.io.format import Format, Written, find_format
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.items import FOLDER_SUFFIXES

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError, argument, describe_lost, suggest
-from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.write import format_rig, write_cameras
+from mocap_calib.io.camera_files import CAMERA_FORMATS, format_rig, write_cameras
 from mocap_calib.io.format import Format, find_format, written_names
 from mocap_calib.io.poses.common import PoseFile, bare_poses, describe_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.atomic import numbered_file, write_bytes, write_pieces
-from mocap_calib.io.cameras.own import SUBFRAME
-from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.camera_files import format_rig
+from mocap_calib.io.formats.own_cameras import SUBFRAME
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.provenance import hold_for

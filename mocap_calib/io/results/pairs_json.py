@@ -8,12 +8,8 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError, one_line
-from mocap_calib.io.cameras.intrinsics import (
-    camera_fields,
-    camera_from_fields,
-    describe_keys,
-    numbers,
-)
+from mocap_calib.io.camera_checks import describe_keys, numbers
+from mocap_calib.io.formats.own_cameras import camera_fields, camera_from_fields
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.types import Camera

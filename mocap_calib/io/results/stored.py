@@ -8,8 +8,8 @@ from typing import Any
 
 import h5py
 
-from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.formats.own_cameras import SUBFRAME
 from mocap_calib.io.syntax import parse_yaml
 
 

@@ -11,10 +11,16 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, pinhole_matrix
-from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
-from mocap_calib.io.cameras.source import CameraFile, entries
+from mocap_calib.io.camera_checks import make_camera, make_extrinsics, numbers
+from mocap_calib.io.cameras import (
+    CameraFile,
+    PlacedCamera,
+    collect_cameras,
+    entries,
+    pinhole_matrix,
+)
 from mocap_calib.io.document import Document, need
+from mocap_calib.io.format import Format
 from mocap_calib.types import Camera, Floats
 
 _KEYS = ("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution")
@@ -95,3 +101,13 @@ def _parse_transform(value: Any, where: str) -> Floats:
         raise FormatError(where, expected, f"shape {step.shape}", "mend it")
     make_extrinsics(step[:3, :3], step[:3, 3], where)  # which refuses what is no rotation
     return step
+
+
+FORMAT = Format(
+    kind="cameras",
+    name="kalibr",
+    title="Kalibr camchain",
+    sniff=sniff,
+    read=parse,
+    unit="m",
+)

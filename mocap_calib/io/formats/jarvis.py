@@ -9,17 +9,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from mocap_calib.io.cameras.file_storage import format_file, format_matrix
-from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
-from mocap_calib.io.cameras.source import (
-    FILE_NAME,
-    CameraFile,
-    need_names,
-    terms,
-    without_sizes,
-)
+from mocap_calib.io.camera_checks import make_camera, make_extrinsics, numbers
+from mocap_calib.io.cameras import FILE_NAME, CameraFile, need_names, terms, without_sizes
 from mocap_calib.io.document import Document
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
+from mocap_calib.io.formats.opencv import format_file, format_matrix
 from mocap_calib.types import CameraRig
 
 _MATRIX = r"^intrinsicMatrix\s*:"
@@ -74,3 +68,15 @@ def _lost_terms(cameras: list[str]) -> tuple[str, ...]:
         return ()
     names = ", ".join(cameras)
     return (f"the tangential terms and k3 of {names}, to JARVIS itself: it uses k1 and k2",)
+
+
+FORMAT = Format(
+    kind="cameras",
+    name="jarvis",
+    title="JARVIS YAML",
+    sniff=sniff,
+    read=parse,
+    write=write,
+    unit="mm",
+    folder=True,
+)

@@ -12,12 +12,18 @@ from typing import Any
 
 from mocap_calib.errors import FormatError
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.io.cameras.common import Extrinsics, PlacedCamera, collect_cameras
-from mocap_calib.io.cameras.file_storage import format_file, format_matrix
-from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
-from mocap_calib.io.cameras.source import CameraFile, need_names, terms
+from mocap_calib.io.camera_checks import make_camera, make_extrinsics
+from mocap_calib.io.cameras import (
+    CameraFile,
+    Extrinsics,
+    PlacedCamera,
+    collect_cameras,
+    need_names,
+    terms,
+)
 from mocap_calib.io.document import Document
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
+from mocap_calib.io.formats.opencv import format_file, format_matrix
 from mocap_calib.types import Camera, CameraRig
 
 _INTRINSICS = "intri.yml"
@@ -121,3 +127,15 @@ def _format_intrinsics(camera: Camera) -> list[str]:
         width, height = camera.size
         lines += [f"H_{camera.name}: {height}", f"W_{camera.name}: {width}"]
     return lines
+
+
+FORMAT = Format(
+    kind="cameras",
+    name="easymocap",
+    title="EasyMocap intri.yml and extri.yml",
+    sniff=sniff,
+    read=parse,
+    write=write,
+    unit="m",
+    folder=True,
+)

@@ -14,25 +14,23 @@ from dataclasses import replace
 from typing import Any
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.cameras.common import (
+from mocap_calib.io.camera_checks import make_camera, numbers
+from mocap_calib.io.cameras import (
+    CameraFile,
     Extrinsics,
     PlacedCamera,
     camera_of_image,
-    collect_cameras,
-    extrinsics_from_centre,
-    pinhole_matrix,
-)
-from mocap_calib.io.cameras.intrinsics import make_camera, numbers
-from mocap_calib.io.cameras.source import (
-    CameraFile,
     cannot,
+    collect_cameras,
     entries,
+    extrinsics_from_centre,
     need_sizes,
+    pinhole_matrix,
     terms,
     to_json,
 )
 from mocap_calib.io.document import Document, need
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.types import Camera, CameraRig
 
@@ -251,3 +249,13 @@ def _lost_focal_length(camera: Camera) -> list[str]:
     if fx == fy:
         return []
     return [f"the two focal lengths of {camera.name}, {both}: their mean is written"]
+
+
+FORMAT = Format(
+    kind="cameras",
+    name="openmvg",
+    title="OpenMVG sfm_data.json",
+    sniff=sniff,
+    read=parse,
+    write=write,
+)

@@ -12,23 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.cameras.common import (
+from mocap_calib.io.camera_checks import make_camera
+from mocap_calib.io.cameras import (
+    CameraFile,
     PlacedCamera,
     collect_cameras,
+    entries,
     extrinsics_if_given,
     has_json_entry,
-)
-from mocap_calib.io.cameras.intrinsics import make_camera
-from mocap_calib.io.cameras.source import (
-    CameraFile,
-    entries,
     need_names,
     terms,
     to_json,
     without_verdict,
 )
 from mocap_calib.io.document import Document, need
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
 from mocap_calib.types import Camera, CameraRig
 
 _INTRINSICS = "intrinsics.json"
@@ -120,3 +118,14 @@ def _format_size(camera: Camera) -> dict[str, Any]:
     """Return the field of the image size, nothing where that is not known."""
     width, height = camera.size
     return {} if 0 in camera.size else {"image_shape": [height, width]}
+
+
+FORMAT = Format(
+    kind="cameras",
+    name="multiview-calib",
+    title="multiview_calib JSON",
+    sniff=sniff,
+    read=parse,
+    write=write,
+    folder=True,
+)

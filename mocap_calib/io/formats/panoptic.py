@@ -7,22 +7,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from mocap_calib.io.cameras.common import (
+from mocap_calib.io.camera_checks import make_camera
+from mocap_calib.io.cameras import (
+    CameraFile,
     PlacedCamera,
     collect_cameras,
+    entries,
     extrinsics_if_given,
     has_json_item,
-)
-from mocap_calib.io.cameras.intrinsics import make_camera
-from mocap_calib.io.cameras.source import (
-    CameraFile,
-    entries,
     need_sizes,
     terms,
     to_json,
 )
 from mocap_calib.io.document import Document, need
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.types import CameraRig
 
@@ -73,3 +71,14 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     about = {"calibDataSource": "mocap-calib", "provenance": plain_fields(provenance)}
     document = {**about, "cameras": cameras}
     return Written({"calibration.json": to_json(document)})
+
+
+FORMAT = Format(
+    kind="cameras",
+    name="panoptic",
+    title="CMU Panoptic JSON",
+    sniff=sniff,
+    read=parse,
+    write=write,
+    unit="cm",
+)

@@ -15,15 +15,16 @@ import pycolmap
 
 from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import FormatError
-from mocap_calib.io.cameras.common import (
+from mocap_calib.io.camera_checks import make_camera, make_extrinsics
+from mocap_calib.io.cameras import (
     COLMAP_LENSES,
+    CameraFile,
     PlacedCamera,
     camera_of_image,
     collect_cameras,
     pinhole_matrix,
+    unique,
 )
-from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
-from mocap_calib.io.cameras.source import CameraFile, unique
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, CameraRig
 

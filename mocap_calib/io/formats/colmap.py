@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.io.cameras.common import COLMAP_LENSES
-from mocap_calib.io.cameras.source import (
+from mocap_calib.io.cameras import (
+    COLMAP_LENSES,
     CameraFile,
     need_names,
     need_sizes,
@@ -22,7 +22,7 @@ from mocap_calib.io.cameras.source import (
 )
 from mocap_calib.io.crash_guard import guard
 from mocap_calib.io.document import Document
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import CameraRig
@@ -103,7 +103,7 @@ def _parse(document: Document, ending: str) -> CameraFile:
 
 def _read_model(folder: Path, with_images: bool, unit: str, source: str) -> CameraFile:
     """Read a model in the process that is for it."""
-    from mocap_calib.io.cameras import colmap_model  # noqa: PLC0415 - takes 0.3 s
+    from mocap_calib.io.formats import colmap_model  # noqa: PLC0415 - takes 0.3 s
 
     return colmap_model.read(folder, with_images=with_images, unit=unit, source=source)
 
@@ -137,7 +137,7 @@ def write_text(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPo
 
 def _write(rig: CameraRig, points: ObservedPoints, name: str, ending: str) -> Written:
     """Write the files of a model with this ending. name: of the format. Raises MismatchError."""
-    from mocap_calib.io.cameras import colmap_model  # noqa: PLC0415 - takes 0.3 s
+    from mocap_calib.io.formats import colmap_model  # noqa: PLC0415 - takes 0.3 s
 
     need_sizes(rig, name)
     with colmap_model.silent_colmap(), tempfile.TemporaryDirectory() as work:
@@ -154,3 +154,25 @@ def _list_losses(rig: CameraRig, points: ObservedPoints, ending: str) -> Iterato
         yield "the unit of length"
     if len(points.positions):
         yield "frame, individual and keypoint of a point (the points are in this order)"
+
+
+BINARY = Format(
+    kind="cameras",
+    name="colmap-binary",
+    title="COLMAP binary model",
+    sniff=sniff_binary,
+    read=parse_binary,
+    write=write_binary,
+    folder=True,
+    points=True,
+)
+TEXT = Format(
+    kind="cameras",
+    name="colmap",
+    title="COLMAP text model",
+    sniff=sniff_text,
+    read=parse_text,
+    write=write_text,
+    folder=True,
+    points=True,
+)

@@ -1,4 +1,4 @@
-"""Make a `Camera` of whatever a file says of one, or a complaint; and spell the fields of our own.
+"""Make a `Camera` of whatever a file says of one, or a complaint.
 
 Everything here raises FormatError for what cannot be.
 """
@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
-from mocap_calib.types import Camera, EstimatedCamera, Floats
+from mocap_calib.types import Camera, Floats
 
 _PINHOLE_LENGTHS = (4, 5, 8)
 _FISHEYE_LENGTHS = (4,)
@@ -20,7 +20,6 @@ _NOT_A_ROTATION = 1e-2  # real files round to three or four digits
 _ROUNDED = 1e-9
 _UNSEEN = 0.05  # pixels, well below what any detector resolves
 _SKEWED = 1e-3  # of the focal length, wherever the principal point may be
-_MODELS = ("opencv", "fisheye", "pinhole")
 
 
 def numbers(value: Any, expected: str, source: str) -> Floats:
@@ -84,60 +83,6 @@ def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Float
     if given.size == 3:
         return matrix_from_vector(given.reshape(3)), offset
     return _check_rotation(given, source), offset
-
-
-def camera_fields(camera: Camera) -> dict[str, Any]:
-    """Return the fields of a camera in our own files."""
-    estimated: dict[str, Any] = {}
-    if isinstance(camera, EstimatedCamera):
-        estimated = {"estimated": estimated_fields(camera)}
-    return {
-        "name": camera.name,
-        "size": list(camera.size),
-        "model": "fisheye" if camera.fisheye else "opencv",
-        "K": camera.matrix.tolist(),
-        "distortion": camera.distortion.tolist(),
-        **estimated,
-    }
-
-
-def estimated_fields(camera: EstimatedCamera) -> dict[str, float]:
-    """Return how sure the intrinsics of a camera are that were estimated from a recording."""
-    return {"focal_sigma": camera.focal_sigma, "k1_sigma": camera.k1_sigma}
-
-
-def camera_from_fields(fields: Any, source: str) -> Camera:
-    """Return the camera of `camera_fields`; the model `pinhole` has no distortion."""
-    if not isinstance(fields, dict) or not {"name", "K"} <= fields.keys():
-        expected = "cameras with name, size, model, K, distortion"
-        raise FormatError(source, expected, describe_keys(fields), "write the file again")
-    name = str(fields["name"])
-    where = f"{source}: camera {name}"
-    model = fields.get("model", "opencv")
-    if model not in _MODELS:
-        raise FormatError(
-            where, "the model opencv, fisheye or pinhole", model, "convert the camera"
-        )
-    camera = make_camera(
-        name=name,
-        size=fields.get("size"),
-        matrix=fields["K"],
-        distortion=[] if model == "pinhole" else fields.get("distortion", []),
-        fisheye=model == "fisheye",
-        source=where,
-    )
-    return _mark_estimated(camera, fields["estimated"], where) if "estimated" in fields else camera
-
-
-def _mark_estimated(camera: Camera, fields: Any, source: str) -> EstimatedCamera:
-    """Return a camera with the fields of `estimated_fields`. Raises FormatError."""
-    expected = "estimated: focal_sigma and k1_sigma of 0 or more"
-    if not isinstance(fields, dict) or fields.keys() != {"focal_sigma", "k1_sigma"}:
-        raise FormatError(source, expected, describe_keys(fields), "write the file again")
-    sigma = numbers([fields["focal_sigma"], fields["k1_sigma"]], expected, source)
-    if sigma.shape != (2,) or not np.isfinite(sigma).all() or (sigma < 0).any():
-        raise FormatError(source, expected, sigma.tolist(), "write the file again")
-    return EstimatedCamera.of(camera, focal_sigma=float(sigma[0]), k1_sigma=float(sigma[1]))
 
 
 def describe_keys(fields: Any) -> str:

@@ -15,21 +15,27 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
+import tomli_w
+
+from mocap_calib import __version__
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.cameras.common import Extrinsics, PlacedCamera, collect_cameras
-from mocap_calib.io.cameras.intrinsics import describe_keys, make_camera, make_extrinsics
-from mocap_calib.io.cameras.own import (
-    anipose_metadata,
-    format_calibration_toml,
-    toml_fields,
+from mocap_calib.geometry.rotation import vector_from_matrix
+from mocap_calib.io.camera_checks import describe_keys, make_camera, make_extrinsics
+from mocap_calib.io.cameras import (
+    CameraFile,
+    Extrinsics,
+    PlacedCamera,
+    collect_cameras,
+    need_sizes,
+    terms,
 )
-from mocap_calib.io.cameras.source import CameraFile, need_sizes, terms
-from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.document import Document
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
+from mocap_calib.io.formats.own_cameras import estimated_fields
 from mocap_calib.io.provenance import plain_fields, read_judgement
-from mocap_calib.io.world_fields import read_world
-from mocap_calib.types import Camera, CameraRig
+from mocap_calib.io.world_fields import read_world, stated_world
+from mocap_calib.io.zeros import unsigned_zeros
+from mocap_calib.types import Camera, CameraRig, EstimatedCamera
 
 # sections that Pose2Sim passes over
 _NOT_CAMERAS = ("metadata", "capture_volume", "charuco", "checkerboard")
@@ -251,3 +257,122 @@ def _dump_with_metadata(
 ) -> bytes:
     metadata = anipose_metadata(rig, provenance) | {"provenance": plain_fields(provenance)}
     return dump_toml({**sections, "metadata": metadata}).encode()
+
+
+def format_calibration_toml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
+    """Return the file of anipose; rotations are Rodrigues vectors, lengths in the rig's unit."""
+    sections: dict[str, Any] = {}
+    digits = len(str(len(rig.cameras) - 1))  # aniposelib sorts the sections as text
+    for view, camera in enumerate(rig.cameras):
+        fisheye = {"fisheye": True} if camera.fisheye else {}
+        sections[f"cam_{view:0{digits}}"] = toml_fields(rig, view) | fisheye
+    metadata = anipose_metadata(rig, provenance) | {"generator": f"mocap-calib {__version__}"}
+    estimated = estimated_intrinsics(rig)
+    if estimated:
+        metadata["estimated_intrinsics"] = estimated
+    if provenance:
+        metadata["provenance"] = plain_fields(provenance)
+    return dump_toml(sections | {"metadata": metadata})
+
+
+def estimated_intrinsics(rig: CameraRig) -> dict[str, dict[str, float]]:
+    """Return, by camera, how sure the intrinsics are that were estimated from the recording."""
+    return {
+        camera.name: estimated_fields(camera)
+        for camera in rig.cameras
+        if isinstance(camera, EstimatedCamera)
+    }
+
+
+def format_intrinsics_toml(cameras: tuple[Camera, ...]) -> str:
+    """Return the file of anipose without the keys that say where cameras stand."""
+    sections = {}
+    for view, camera in enumerate(cameras):
+        fisheye = {"fisheye": True} if camera.fisheye else {}
+        sections[f"cam_{view}"] = _intrinsic_fields(camera) | fisheye
+    return dump_toml(sections)
+
+
+def toml_fields(rig: CameraRig, view: int) -> dict[str, Any]:
+    """Return the fields of a camera that anipose and its descendants share, in their order."""
+    return _intrinsic_fields(rig.cameras[view]) | {
+        "rotation": vector_from_matrix(rig.rotation[view]).tolist(),
+        "translation": rig.translation[view].tolist(),
+    }
+
+
+def anipose_metadata(rig: CameraRig, provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what anipose says of its cameras: adjusted to the animal's points, and the error.
+
+    anipose calls error the median over the points of the mean reprojection error over the cameras,
+    in pixels, and leaves out what it does not know (calibrate.py).
+    """
+    metadata: dict[str, Any] = {"adjusted": bool(provenance.get("adjusted", False))}
+    if "reprojection_error_px" in provenance:
+        metadata["error"] = provenance["reprojection_error_px"]
+    # in here: aniposelib takes every other table of a file for a camera
+    return metadata | {"unit": rig.unit, **stated_world(rig.world, rig.unit)}
+
+
+def _intrinsic_fields(camera: Camera) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "size": list(camera.size),
+        "matrix": camera.matrix.tolist(),
+        "distortions": camera.distortion.tolist(),
+    }
+
+
+def dump_toml(document: Mapping[str, Any]) -> str:
+    """Return a document as TOML: of each table its values first, then the tables in it.
+
+    TOML has no null: fields and entries that are None are left out.
+    """
+    return tomli_w.dumps(_without_none(unsigned_zeros(document)))
+
+
+def _without_none(value: Any) -> Any:
+    """Return the value without the fields and entries that are None, at any depth."""
+    if isinstance(value, Mapping):
+        return {key: _without_none(each) for key, each in value.items() if each is not None}
+    if isinstance(value, list):
+        return [_without_none(each) for each in value if each is not None]
+    return value
+
+
+CALISCOPE = Format(
+    kind="cameras",
+    name="caliscope",
+    title="caliscope camera_array.toml",
+    sniff=sniff_caliscope,
+    read=parse,
+    write=write_caliscope,
+    unit="m",
+)
+FREEMOCAP = Format(
+    kind="cameras",
+    name="freemocap",
+    title="FreeMoCap calibration.toml",
+    sniff=sniff_freemocap,
+    read=parse,
+    write=write_freemocap,
+    unit="mm",
+)
+POSE2SIM = Format(
+    kind="cameras",
+    name="pose2sim",
+    title="Pose2Sim Calib.toml",
+    sniff=sniff_pose2sim,
+    read=parse,
+    write=write_pose2sim,
+    unit="m",
+)
+ANIPOSE = Format(
+    kind="cameras",
+    name="anipose",
+    title="anipose calibration.toml",
+    sniff=sniff_anipose,
+    read=parse,
+    write=write_anipose,
+    endings=(".toml",),
+)

@@ -10,19 +10,21 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, has_json_entry
-from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
-from mocap_calib.io.cameras.source import (
+from mocap_calib.io.camera_checks import make_camera, make_extrinsics, numbers
+from mocap_calib.io.cameras import (
     CameraFile,
+    PlacedCamera,
     cannot,
+    collect_cameras,
     entries,
+    has_json_entry,
     need_sizes,
     terms,
     to_json,
     without_verdict,
 )
 from mocap_calib.io.document import Document, need
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _KEYS = ("K", "RT", "imgSize")
@@ -94,3 +96,14 @@ def _fields(camera: Camera, rotation: Floats, translation: Floats) -> dict[str, 
         "RT": np.column_stack([rotation, translation]).ravel().tolist(),
         "imgSize": list(camera.size),
     }
+
+
+FORMAT = Format(
+    kind="cameras",
+    name="4d-association",
+    title="4D-Association JSON",
+    sniff=sniff,
+    read=parse,
+    write=write,
+    unit="m",
+)

@@ -14,24 +14,22 @@ import numpy as np
 
 from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import FormatError
-from mocap_calib.io.cameras.common import (
+from mocap_calib.io.camera_checks import make_camera, make_extrinsics, numbers
+from mocap_calib.io.cameras import (
+    CameraFile,
     Extrinsics,
     PlacedCamera,
     camera_of_image,
     collect_cameras,
-    has_json_item,
-    pinhole_matrix,
-)
-from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
-from mocap_calib.io.cameras.source import (
-    CameraFile,
     entries,
+    has_json_item,
     need_sizes,
+    pinhole_matrix,
     terms,
     to_json,
 )
 from mocap_calib.io.document import Document, need
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.types import Camera, CameraRig, Floats
 
@@ -156,3 +154,13 @@ def _frame(camera: Camera, *, rotation: Floats, centre: Floats) -> dict[str, Any
         **lens,
         "transform_matrix": world_from_cam.tolist(),
     }
+
+
+FORMAT = Format(
+    kind="cameras",
+    name="nerfstudio",
+    title="nerfstudio transforms.json",
+    sniff=sniff,
+    read=parse,
+    write=write,
+)

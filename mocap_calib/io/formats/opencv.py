@@ -9,16 +9,16 @@
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+
 from mocap_calib.errors import FormatError
-from mocap_calib.io.cameras.common import Extrinsics
-from mocap_calib.io.cameras.file_storage import format_file, format_matrix
-from mocap_calib.io.cameras.intrinsics import describe_keys, make_camera, make_extrinsics
-from mocap_calib.io.cameras.source import FILE_NAME, CameraFile, need_names
+from mocap_calib.io.camera_checks import describe_keys, make_camera, make_extrinsics
+from mocap_calib.io.cameras import FILE_NAME, CameraFile, Extrinsics, need_names
 from mocap_calib.io.document import Document
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _MATRIX = ("camera_matrix", "K", "M1", "intrinsic_matrix", "k")
@@ -146,3 +146,51 @@ def _model(camera: Camera) -> str:
     if camera.fisheye:
         return "equidistant"
     return "rational_polynomial" if len(camera.distortion) > 5 else "plumb_bob"
+
+
+_KEY = r"[A-Za-z_][\w-]*"  # what FileStorage takes for a key
+
+
+def format_file(lines: Iterable[str]) -> bytes:
+    """Return a file of these lines below the header of FileStorage."""
+    return "\n".join(["%YAML:1.0", "---", *lines, ""]).encode()
+
+
+def format_matrix(key: str, matrix: Floats) -> list[str]:
+    """Return the lines of a `[row, column]` matrix; every float comes back exactly."""
+    assert re.fullmatch(_KEY, key)
+    rows, columns = matrix.shape
+    data = ", ".join(_format_number(float(value)) for value in np.ravel(matrix))
+    return [
+        f"{key}: !!opencv-matrix",
+        f"   rows: {rows}",
+        f"   cols: {columns}",
+        "   dt: d",
+        f"   data: [ {data} ]",
+    ]
+
+
+def _format_number(value: float) -> str:
+    """Return a number with a point, without which YAML 1.1 takes `1e-05` for text."""
+    text = repr(value + 0.0)  # which takes the sign from a zero
+    if "." in text:
+        return text
+    return text.replace("e", ".0e") if "e" in text else f"{text}."
+
+
+ROS = Format(
+    kind="cameras",
+    name="ros",
+    title="ROS camera_info",
+    sniff=sniff_ros,
+    read=parse_ros,
+)
+OPENCV = Format(
+    kind="cameras",
+    name="opencv",
+    title="OpenCV YAML",
+    sniff=sniff,
+    read=parse,
+    write=write,
+    folder=True,
+)

@@ -11,24 +11,22 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.cameras.common import (
+from mocap_calib.io.camera_checks import make_camera, numbers
+from mocap_calib.io.cameras import (
+    CameraFile,
     PlacedCamera,
     collect_cameras,
+    entries,
     extrinsics_from_centre,
     has_json_entry,
     pinhole_matrix,
-)
-from mocap_calib.io.cameras.intrinsics import make_camera, numbers
-from mocap_calib.io.cameras.source import (
-    CameraFile,
-    entries,
     terms,
     to_json,
     without_sizes,
     without_verdict,
 )
 from mocap_calib.io.document import Document, need
-from mocap_calib.io.format import Written
+from mocap_calib.io.format import Format, Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _PINHOLE = ("fx", "fy", "cx", "cy")
@@ -119,3 +117,14 @@ def _fields(camera: Camera, *, rotation: Floats, centre: Floats) -> dict[str, An
         "k": [[k1], [k2], [k3]],
         "p": [[p1], [p2]],
     }
+
+
+FORMAT = Format(
+    kind="cameras",
+    name="voxelpose",
+    title="VoxelPose JSON",
+    sniff=sniff,
+    read=parse,
+    write=write,
+    unit="mm",
+)

@@ -1,33 +1,84 @@
-"""Read camera files of any format of `io.cameras.formats`.
+"""Read and write files of cameras: the table of formats, and what all of them share.
 
 `read_cameras` returns intrinsics; `read_rig` also where the cameras stand; `load_cameras` all that
-a file says.
+a file says. Lengths keep the unit that the file states or that the format is defined in; a format
+without either leaves it open ("arbitrary") until someone says it.
 """
 
+import io
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
-from itertools import combinations
-from pathlib import Path
+from itertools import combinations, takewhile
+from pathlib import Path, PurePath
+from typing import Any
 
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, argument
-from mocap_calib.io.cameras.comments import read_comments
-from mocap_calib.io.cameras.formats import (
-    CAMERA_FORMATS,
-    FOLDER_ENDINGS,
-    ONE_CAMERA_ENDINGS,
-)
-from mocap_calib.io.cameras.source import CameraFile, join_camera_files, unique
+from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
+from mocap_calib.io.cameras import CameraFile, join_camera_files, unique
 from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.document import NAMELESS, Document
-from mocap_calib.io.format import Format, expected_formats, require_format, sniff
+from mocap_calib.io.format import (
+    Format,
+    Written,
+    expected_formats,
+    find_format,
+    require_format,
+    sniff,
+)
+from mocap_calib.io.formats import (
+    anipose,
+    colmap,
+    dannce,
+    easymocap,
+    four_d_association,
+    jarvis,
+    kalibr,
+    multiview_calib,
+    nerfstudio,
+    opencv,
+    openmvg,
+    own_cameras,
+    panoptic,
+    voxelpose,
+)
 from mocap_calib.io.media import name_media
 from mocap_calib.io.names import camera_name
-from mocap_calib.io.provenance import read_description
-from mocap_calib.io.units import ARBITRARY, known_unit, refuse_unit
+from mocap_calib.io.provenance import describe_judgement, read_description
+from mocap_calib.io.units import ARBITRARY, known_unit, refuse_unit, unit_factor
 from mocap_calib.recording.names import compose_name
-from mocap_calib.types import Camera, CameraRig
+from mocap_calib.results import ObservedPoints
+from mocap_calib.types import Camera, CameraRig, EstimatedCamera
+
+# in the order in which they are tried: what is particular comes first
+CAMERA_FORMATS = (
+    own_cameras.FORMAT,
+    anipose.CALISCOPE,
+    anipose.FREEMOCAP,
+    anipose.POSE2SIM,
+    anipose.ANIPOSE,
+    jarvis.FORMAT,
+    easymocap.FORMAT,
+    kalibr.FORMAT,
+    opencv.ROS,
+    opencv.OPENCV,
+    colmap.BINARY,
+    colmap.TEXT,
+    panoptic.FORMAT,
+    voxelpose.FORMAT,
+    four_d_association.FORMAT,
+    nerfstudio.FORMAT,
+    openmvg.FORMAT,
+    multiview_calib.FORMAT,
+    dannce.CAMERAS,
+)
+
+# endings of files that may be one of several in a folder, and all that are looked at in a folder
+ONE_CAMERA_ENDINGS = (".yml", ".yaml", ".toml", ".json", ".mat")
+FOLDER_ENDINGS = (*ONE_CAMERA_ENDINGS, ".txt", ".bin")  # the last two are COLMAP's
+
 
 _OWN = "cameras.yaml"  # what the results of a run are told by, beside one of these
 _BESIDE_OWN = {"run.json", "calibration.toml"}
@@ -209,3 +260,103 @@ def _note_same_places(found: CameraFile) -> list[str]:
                 "one of them is wrong"
             )
     return notes
+
+
+def format_rig(
+    rig: CameraRig,
+    format: str,
+    provenance: Mapping[str, Any],
+    points: ObservedPoints | None = None,
+) -> Written:
+    """Return the files of a rig in the format, by the names and in the unit that the format has.
+
+    points: that the views see; they are lost where the format has no place for points. A verdict on
+    the rig, which a provenance may have, and intrinsics that were estimated stand in comments where
+    the files can hold them.
+
+    Raises MismatchError where the format is only read or cannot carry the rig, and where it needs
+    a unit of length that is not known.
+    """
+    known = find_format(CAMERA_FORMATS, format)
+    write = known.writer()
+    if known.unit:
+        factor = unit_factor(rig.unit, known.unit, format)
+        rig = replace(rig, translation=rig.translation * factor, unit=known.unit)
+    points = points or ObservedPoints.none()
+    written = write(rig, provenance, points) if known.points else write(rig, provenance)
+    if len(points.positions) and not known.points:
+        lost = f"{len(points.positions)} 3D points"
+        written = replace(written, lost=(*written.lost, lost))
+    remarks = [*describe_judgement(provenance), *describe_estimates(rig)]
+    return replace(written, files=add_comments(written.files, remarks))
+
+
+def write_cameras(
+    path: str | Path,
+    rig: CameraRig,
+    format: str,
+    provenance: Mapping[str, Any] | None = None,
+    points: ObservedPoints | None = None,
+) -> tuple[str, ...]:
+    """Write a rig in the format, whole or not at all.
+
+    path: the file, or the folder where the format is several files.
+    points: that the views see.
+
+    Returns what of the rig the format does not carry. Raises MismatchError as `format_rig` does,
+    and where the folder has files of other cameras.
+    """
+    path = Path(path)
+    written = format_rig(rig, format, provenance or {}, points)
+    if find_format(CAMERA_FORMATS, format).folder:
+        check_no_other_files(path, written.files, FOLDER_ENDINGS)
+        write_files(path, written.files)
+    else:
+        write_bytes(path, next(iter(written.files.values())))
+    return written.lost
+
+
+_WITH_COMMENTS = (".toml", ".yaml", ".yml", ".txt")
+_MARK = b"# "
+_FILE_STORAGE = b"%YAML:1.0\n---\n"  # OpenCV's header comes before any comment
+
+
+def describe_estimates(rig: CameraRig) -> list[str]:
+    """Return a line for each camera whose intrinsics were estimated from the recording."""
+    return [
+        f"camera {camera.name}: intrinsics estimated from the recording, "
+        f"focal length {camera.focal:.1f} +- {camera.focal_sigma:.1f} px{_describe_k1(camera)}"
+        for camera in rig.cameras
+        if isinstance(camera, EstimatedCamera)
+    ]
+
+
+def _describe_k1(camera: EstimatedCamera) -> str:
+    """Return what is known of the lens, nothing where it was not estimated."""
+    if not camera.k1_sigma:
+        return ""
+    return f", k1 {camera.distortion[0]:.3f} +- {camera.k1_sigma:.3f}"
+
+
+def add_comments(files: Mapping[str, bytes], lines: Sequence[str]) -> dict[str, bytes]:
+    """Return the files (relative path -> content) with the lines at their head, as comments.
+
+    JSON and binary files stay as they are.
+    """
+    comment = b"".join(_MARK + line.encode() + b"\n" for line in lines)
+    return {name: _put_at_head(name, content, comment) for name, content in files.items()}
+
+
+def read_comments(content: bytes) -> list[str]:
+    """Return the lines of the comments at the head of a file, none where it has no comments."""
+    lines = io.BytesIO(content.removeprefix(_FILE_STORAGE))  # not all of them: files may be large
+    comments = takewhile(lambda line: line.startswith(_MARK), lines)
+    return [line.strip(b"\r\n").removeprefix(_MARK).decode(errors="replace") for line in comments]
+
+
+def _put_at_head(name: str, content: bytes, comment: bytes) -> bytes:
+    """Return the content of one file with a comment at its head, if its syntax has comments."""
+    if PurePath(name).suffix not in _WITH_COMMENTS:
+        return content
+    header = _FILE_STORAGE if content.startswith(_FILE_STORAGE) else b""
+    return header + comment + content.removeprefix(header)

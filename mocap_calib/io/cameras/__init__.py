@@ -1,1 +1,0 @@
-"""Camera files, a module a family of formats."""
