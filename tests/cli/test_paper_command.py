@@ -45,5 +45,5 @@ def test_a_rotation_token_calibrates_by_the_papers_solver_alone(tmp_path, monkey
     found = read_rig(tmp_path / "out/cameras.yaml")
     assert rotation_errors_deg(found, truth).max() < 5
     refused = runner.invoke(run.command, [*asked, str(tmp_path / "no")])
-    assert "with --solver paper" in str(refused.exception)
+    assert "with solver='paper'" in str(refused.exception)
     assert not (tmp_path / "no").exists()

@@ -280,7 +280,7 @@ def test_coordinates_are_those_of_landmarks_or_of_known_cameras(small, tool, tmp
     (tmp_path / "marks.csv").write_text("\n".join([*rows, "e,5,5,5,cam1,100,100"]))
     said = tool(*words, tmp_path / "a", "--align", tmp_path / "marks.csv")
     assert said.returncode == 0, said.stderr
-    assert "world: aligned to 4 landmarks, RMS distance " in said.stderr
+    assert "; aligned to 4 landmarks, RMS distance " in said.stderr
     assert "; lengths are in m" in said.stderr
     assert " mm from its place\n" in said.stderr
     assert "  landmark e: not used, two cameras that agree on it are needed\n" in said.stderr
