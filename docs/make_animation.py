@@ -25,7 +25,7 @@ from make_picture import (
 )
 
 from mocap_calib.io.camera_files import read_rig
-from mocap_calib.io.poses.read import load_poses
+from mocap_calib.io.pose_files import load_poses
 from mocap_calib.types import CameraRig, Floats
 
 PICTURE = Path(__file__).with_name("moving.svg")

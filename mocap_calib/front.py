@@ -22,9 +22,8 @@ from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.kinds import choose_format
-from mocap_calib.io.poses.common import check_rate, describe_poses
-from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.write import write_poses
+from mocap_calib.io.pose_files import POSE_FORMATS, write_poses
+from mocap_calib.io.poses import check_rate, describe_poses
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.notebook.tables import describe_group, describe_result, describe_rig
 from mocap_calib.report import run_report, verdict_of_cameras
@@ -349,7 +348,7 @@ def to_xarray(
     Raises MismatchError where the package xarray, an extra, is absent, and ValueError for other
     numbers of names, names that occur twice and a rate that is not above 0.
     """
-    from mocap_calib.io.poses.movement import to_dataset
+    from mocap_calib.io.formats.movement_3d import to_dataset
 
     return to_dataset(describe_poses(poses, fps, individuals))
 

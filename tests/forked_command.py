@@ -27,7 +27,7 @@ PROGRAM = ("mocap_calib", "mocap_calib_cli")
 LIBRARIES = ("rich.progress", "scipy.optimize", "torch")
 NOT_PRELOADED = (
     "mocap_calib.compute.cluster",  # imports Dask, which few need
-    "mocap_calib.io.poses.blender_scene",  # is for Blender's own Python
+    "mocap_calib.io.formats.blender_scene",  # is for Blender's own Python
     "mocap_calib_cli.__main__",  # runs the command
 )
 

@@ -128,8 +128,8 @@ DOORS = {  # module: where alone it is imported
     "h5netcdf": ("mocap_calib/io/",),
     "c3d": ("mocap_calib/io/",),
     "pynwb": ("mocap_calib/io/",),
-    "rerun": ("mocap_calib/io/poses/rerun_file.py",),
-    "bpy": ("mocap_calib/io/poses/blender_scene.py",),  # which Blender runs
+    "rerun": ("mocap_calib/io/formats/rerun_file.py",),
+    "bpy": ("mocap_calib/io/formats/blender_scene.py",),  # which Blender runs
     # results and front name both to type checkers
     "xarray": ("mocap_calib/io/", "mocap_calib/results.py", "mocap_calib/front.py"),
     "plotly": (

@@ -52,7 +52,7 @@ def check_poses(path: Path) -> None:
 
 def check_individuals(path: Path, individuals: int) -> None:
     """Raise MismatchError where `write_poses` should not write the files of so many."""
-    from mocap_calib.io.results.poses_csv import check_poses_csv
+    from mocap_calib.io.formats.anipose_csv import check_poses_csv
 
     if path.suffix == ".csv":
         check_poses_csv(path, individuals)
@@ -63,9 +63,10 @@ def write_poses(path: Path, poses: "Poses3D", recording: "Recording", stage: str
 
     stage: the command that made them.
     """
+    from mocap_calib.io.formats.anipose_csv import write_poses_csv
+    from mocap_calib.io.formats.own_poses import write_poses_h5
+    from mocap_calib.io.poses import PoseFile
     from mocap_calib.io.provenance import provenance
-    from mocap_calib.io.results.poses_csv import write_poses_csv
-    from mocap_calib.io.results.poses_h5 import write_poses_h5
     from mocap_calib.lift.lifter import load_vocabulary
     from mocap_calib.recording.joints import edges_of_keypoints
     from mocap_calib.world.floor import stated_joints
@@ -74,7 +75,8 @@ def write_poses(path: Path, poses: "Poses3D", recording: "Recording", stage: str
         write_poses_csv(path, poses)
         return
     edges = edges_of_keypoints(load_vocabulary(recording.model), recording.vocabulary)
-    write_poses_h5(path, poses, provenance(stage), edges=edges, joints=stated_joints(recording))
+    file = PoseFile(poses, edges=edges, joints=stated_joints(recording))
+    write_poses_h5(path, file, provenance(stage))
 
 
 def check_folder(path: Path) -> None:

@@ -32,11 +32,15 @@ from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
 from mocap_calib.io.kinds import OWN_POSES, Sources
-from mocap_calib.io.poses.axes import turn_up_axis
-from mocap_calib.io.poses.common import PoseFile, convert_unit
-from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.read import join_individuals, load_poses
-from mocap_calib.io.poses.write import format_poses, write_poses
+from mocap_calib.io.pose_axes import turn_up_axis
+from mocap_calib.io.pose_files import (
+    POSE_FORMATS,
+    format_poses,
+    join_individuals,
+    load_poses,
+    write_poses,
+)
+from mocap_calib.io.poses import PoseFile, convert_unit
 from mocap_calib.io.units import ARBITRARY, unit_factor
 from mocap_calib.recording.names import check_pixels
 from mocap_calib.types import Keypoints2D

@@ -16,12 +16,12 @@ Kind = Literal["keypoints", "cameras", "poses"]
 class Loss:
     """What a format has no place for.
 
-    what: words that follow "does not hold".
+    what: words that follow "does not hold"; `{0}` stands for the records.
     has: whether records of its kind have it.
     """
 
     what: str
-    has: Callable[[Sequence[Any]], bool]
+    has: Callable[[Any], bool]
 
 
 @dataclass(frozen=True, kw_only=True)  # `frozen` makes no class of keywords alone
@@ -36,7 +36,8 @@ class Format:
     read: the records of a document: `(document, options)` of keypoints, else `(document)`; None
         where the format is only written.
     write: records as `Written` files: `(views)` of keypoints, `(rig, provenance)` of cameras, with
-        points where the format has them, `(file, title)` of poses; None where it is only read.
+        points where the format has them; the content of a file for `(file, title)` of poses; None
+        where it is only read.
     endings: of the names of files that are written in this format unless another is named.
     per_frame: a file holds one frame, a folder one camera (keypoints).
     folder: the format is several files, by names of its own (cameras).
@@ -51,7 +52,7 @@ class Format:
         extra of mocap-calib that brings them.
     followed: its individuals are followed by definition: several detections that nobody follows
         are refused (keypoints).
-    loses: what the format has no place for (keypoints; writers of other kinds return it).
+    loses: what the format has no place for (keypoints, poses; writers of cameras return it).
     """
 
     kind: Kind
@@ -78,6 +79,10 @@ class Format:
     def sniffs(self, document: Document) -> bool:
         """Return whether a document is meant for this format. Raises FormatError."""
         return self.sniff is not None and self.sniff(document)
+
+    def lost(self, records: Any) -> tuple[str, ...]:
+        """Return what of the records the format has no place for, in words."""
+        return tuple(loss.what.format(records) for loss in self.loses if loss.has(records))
 
     def reader(self) -> Callable[..., Any]:
         """Return what reads the format. Raises MismatchError where it is only written."""

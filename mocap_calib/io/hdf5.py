@@ -1,6 +1,6 @@
 """What the HDF5 readers share: text, arrays that fit into memory, and damage said in one line."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -100,6 +100,12 @@ def integers(group: Any, name: str, source: str) -> Ints:
 def names(group: Any, name: str, source: str) -> tuple[str, ...]:
     """Return a dataset of names. Raises as `array` does."""
     return tuple(text(entry) for entry in array(group, name, source).reshape(-1))
+
+
+def write_names(group: Any, name: str, values: Iterable[str]) -> None:
+    """Write a dataset of names, without the time."""
+    texts = np.array(tuple(values), dtype=object)
+    group.create_dataset(name, data=texts, dtype=h5py.string_dtype(), track_times=False)
 
 
 def require_filters(group: Any, source: str, remedy: str) -> None:

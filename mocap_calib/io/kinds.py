@@ -19,8 +19,7 @@ from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.items import SUFFIXES
 from mocap_calib.io.keypoints.read import looks_like_keypoints
 from mocap_calib.io.media import check_no_media
-from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.read import looks_like_poses
+from mocap_calib.io.pose_files import POSE_FORMATS, looks_like_poses
 
 # in the order in which content is looked at
 FORMATS: Mapping[Kind, tuple[Format, ...]] = {

@@ -14,7 +14,7 @@ from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import source_of_group
 from mocap_calib.io.atomic import replace_folder, write_bytes
 from mocap_calib.io.hashing import hash_files
-from mocap_calib.io.poses.common import PoseFile, describe_poses
+from mocap_calib.io.poses import PoseFile, describe_poses
 from mocap_calib.io.provenance import date_of_making, provenance
 from mocap_calib.io.results.further_formats import WriteOutcome, any_holds_points, write_formats
 from mocap_calib.io.results.group import (

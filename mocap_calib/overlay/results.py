@@ -12,8 +12,8 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.file import decode, read_bytes
 from mocap_calib.io.formats.own_cameras import SUBFRAME
-from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.poses.read import load_poses
+from mocap_calib.io.pose_files import load_poses
+from mocap_calib.io.poses import PoseFile
 from mocap_calib.io.results.group import REPORT
 from mocap_calib.io.results.matches_csv import parse_matches
 from mocap_calib.io.results.run_json import read_run_json

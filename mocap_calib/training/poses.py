@@ -18,9 +18,9 @@ from mocap_calib.errors import DegenerateError, FormatError, MismatchError, argu
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.io.camera_files import read_rig
-from mocap_calib.io.poses.common import refuse_damage
-from mocap_calib.io.poses.npz import check_sizes
-from mocap_calib.io.poses.read import read_poses
+from mocap_calib.io.formats.npz import check_sizes
+from mocap_calib.io.pose_files import read_poses
+from mocap_calib.io.poses import refuse_damage
 from mocap_calib.recording.joints import load_section, load_skeleton, match_names, parse_skeleton
 from mocap_calib.results import Poses3D
 from mocap_calib.synthetic.body_plan import parse_body

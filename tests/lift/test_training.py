@@ -14,8 +14,8 @@ from scenes import PEOPLE, calibrated, scene
 
 import mocap_calib
 from mocap_calib.errors import DegenerateError, FormatError, MismatchError
-from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.poses.write import write_poses
+from mocap_calib.io.pose_files import write_poses
+from mocap_calib.io.poses import PoseFile
 from mocap_calib.lift.lifter import ModelConfig, load_lifter
 from mocap_calib.recording.joints import (
     SHIPPED,

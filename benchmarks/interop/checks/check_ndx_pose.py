@@ -12,8 +12,7 @@ sys.path.append(
     str(Path(__file__).parents[3])
 )  # mocap_calib's writers need no more than what is installed here
 
-from mocap_calib.io.poses.read import load_poses
-from mocap_calib.io.poses.write import write_poses
+from mocap_calib.io.pose_files import load_poses, write_poses
 
 path = FILES / "poses.nwb"
 write_poses(path, load_poses(FILES / "poses-poses-h5.h5"), "nwb-3d")

@@ -82,7 +82,7 @@ def command(typed: Typed) -> None:
     from mocap_calib.errors import describe_lost
     from mocap_calib.io.conversion import load_pose_sources
     from mocap_calib.io.kinds import check_sources, choose_format
-    from mocap_calib.io.poses.write import write_poses
+    from mocap_calib.io.pose_files import write_poses
     from mocap_calib.stages import filter
     from mocap_calib_cli import outputs
     from mocap_calib_cli.screen import Reporter

@@ -10,9 +10,8 @@ import numpy as np
 from mocap_calib.errors import MismatchError, argument, describe_lost, suggest
 from mocap_calib.io.camera_files import CAMERA_FORMATS, format_rig, write_cameras
 from mocap_calib.io.format import Format, find_format, written_names
-from mocap_calib.io.poses.common import PoseFile, bare_poses, describe_poses
-from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.write import format_poses, write_poses
+from mocap_calib.io.pose_files import POSE_FORMATS, format_poses, write_poses
+from mocap_calib.io.poses import PoseFile, bare_poses, describe_poses
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import CameraRig, Recording

@@ -14,13 +14,13 @@ from typing import Any
 
 from mocap_calib.io.atomic import numbered_file, write_bytes, write_pieces
 from mocap_calib.io.camera_files import format_rig
+from mocap_calib.io.formats.anipose_csv import poses_csv
 from mocap_calib.io.formats.own_cameras import SUBFRAME
+from mocap_calib.io.formats.own_poses import write_poses_h5
 from mocap_calib.io.hashing import hash_file
-from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses import PoseFile
 from mocap_calib.io.provenance import hold_for
 from mocap_calib.io.results.matches_csv import matches_csv
-from mocap_calib.io.results.poses_csv import poses_csv
-from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.recording.corrections import Epoch, epoch_folder, list_epochs, rig_of_epoch
 from mocap_calib.results import Clocks, GroupResult
 from mocap_calib.types import CameraRig
@@ -66,14 +66,7 @@ def write_group(
             reversed_epoch = rig_of_epoch(reversed_rig, epoch)
             _write_cameras(place / REVERSED_RIG, reversed_epoch, "anipose", remarked)
     write_pieces(folder / "matches.csv", matches_csv(group.recording, group.matches, clocks))
-    write_poses_h5(
-        folder / "poses3d.h5",
-        poses.poses,
-        provenance,
-        edges=poses.edges,
-        fps=poses.rate,
-        joints=poses.joints,
-    )
+    write_poses_h5(folder / "poses3d.h5", poses, provenance)
     for individual in range(group.matches.individuals):
         path = numbered_file(folder / _POSES, individual)
         write_pieces(path, poses_csv(poses.poses, individual))

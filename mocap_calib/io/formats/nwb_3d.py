@@ -15,15 +15,17 @@ import h5py
 import numpy as np
 
 from mocap_calib.io.document import Document
+from mocap_calib.io.format import Format, Loss
 from mocap_calib.io.formats.nwb import frame_numbers_and_rate
 from mocap_calib.io.hdf5 import array
-from mocap_calib.io.poses.common import (
+from mocap_calib.io.poses import (
+    COVARIANCES,
+    ERRORS,
+    VIEWS,
     PoseFile,
-    WrittenPoses,
     attribute,
     bare_poses,
     is_hdf5_that,
-    lost_covariance,
     mark_missing,
     need_keypoints,
     need_rate,
@@ -35,11 +37,7 @@ from mocap_calib.results import Poses3D
 _SERIES = "PoseEstimationSeries"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _NAMES = r"[^/:\x00-\x1f\ud800-\udfff]*[^/:\s\x00-\x1f\ud800-\udfff]"
-_LOST = (
-    "reprojection errors",
-    "numbers of views",
-    "when the session was: 1970-01-01 is written",
-)
+SESSION = Loss("when the session was: 1970-01-01 is written", bool)
 
 
 def sniff(document: Document) -> bool:
@@ -104,7 +102,7 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
 # --- writing
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write the poses through pynwb. Raises MismatchError."""
     import ndx_pose  # noqa: PLC0415 - an extra
     import pynwb  # noqa: PLC0415
@@ -133,7 +131,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         )
         behavior.add(estimation)
     behavior.add(ndx_pose.Skeletons(skeletons=skeletons))
-    return WrittenPoses(_format_file(pynwb, nwb), (*_LOST, *lost_covariance(file)))
+    return _format_file(pynwb, nwb)
 
 
 def _make_series(ndx_pose: Any, poses: Poses3D, individual: int, rate: float) -> list[Any]:
@@ -160,3 +158,18 @@ def _format_file(pynwb: Any, nwb: Any) -> bytes:
         with pynwb.NWBHDF5IO(str(path), "w") as out:
             out.write(nwb)
         return path.read_bytes()
+
+
+POSES = Format(
+    kind="poses",
+    name="nwb-3d",
+    title="NWB with ndx-pose",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".nwb",),
+    timed=True,
+    packages=("pynwb", "ndx_pose"),
+    extra="nwb",
+    loses=(ERRORS, VIEWS, SESSION, COVARIANCES),
+)

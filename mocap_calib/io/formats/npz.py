@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
+from mocap_calib.io.format import Format
 from mocap_calib.io.hdf5 import most_unpacked
-from mocap_calib.io.poses.common import PoseFile, WrittenPoses, refuse_damage
+from mocap_calib.io.poses import PoseFile, refuse_damage
 from mocap_calib.io.units import known_unit
 from mocap_calib.io.world_fields import read_world, world_fields
 from mocap_calib.results import Poses3D
@@ -90,7 +91,7 @@ def _check_shapes(poses: Poses3D, individuals: tuple[str, ...]) -> None:
     check_shape("confidence", poses.confidence, *shape)
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write the archive."""
     arrays: dict[str, Any] = {name: getattr(file.poses, name) for name in _ARRAYS}
     if np.isfinite(file.poses.covariance).any():
@@ -110,4 +111,15 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         unit=np.array(file.poses.unit),
         title=np.array(title),
     )
-    return WrittenPoses(content.getvalue())
+    return content.getvalue()
+
+
+POSES = Format(
+    kind="poses",
+    name="npz",
+    title="numpy archive",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".npz",),
+)

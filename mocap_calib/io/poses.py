@@ -15,6 +15,7 @@ import numpy as np
 from mocap_calib.errors import FormatError, MismatchError, argument, one_line
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import find_repeated
+from mocap_calib.io.format import Loss
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.units import unit_factor
 from mocap_calib.recording.joints import choose_skeleton, edges_of_keypoints, match_names
@@ -102,14 +103,6 @@ def check_rate(fps: float | None) -> None:
     """Raise ValueError where frames per second are said and are not above 0."""
     if fps is not None and not 0 < fps < np.inf:
         raise ValueError(f"fps: expected a number above 0, got {fps}")
-
-
-@dataclass(frozen=True)
-class WrittenPoses:
-    """A file's content, and what of the poses it does not carry."""
-
-    content: bytes
-    lost: tuple[str, ...] = ()
 
 
 # --- for readers
@@ -267,28 +260,39 @@ def need_keypoints(file: PoseFile, pattern: str, words: str, owner: str) -> None
             raise MismatchError(owner, f"names of {words}", f"{name!r}", "rename it")
 
 
-def lost_unit(file: PoseFile) -> tuple[str, ...]:
-    """Return the unit, for formats without a place for it; nothing where lengths have none."""
-    return () if file.poses.unit == ARBITRARY else (f"the unit ({file.poses.unit})",)
+def _has_unit(file: PoseFile) -> bool:
+    return file.poses.unit != ARBITRARY
 
 
-def lost_quality(file: PoseFile) -> tuple[str, ...]:
-    """Return what is lost by a format of positions alone."""
-    poses = file.poses
-    has = {
-        "reprojection errors": np.isfinite(poses.error).any(),
-        "numbers of views": poses.views.any(),
-        "confidences": np.isfinite(poses.confidence).any(),
-    }
-    return (*(name for name, any_ in has.items() if any_), *lost_covariance(file))
+def _has_errors(file: PoseFile) -> bool:
+    return bool(np.isfinite(file.poses.error).any())
 
 
-def lost_covariance(file: PoseFile) -> tuple[str, ...]:
-    """Return what is lost by a format that has no room for the covariances of points."""
-    return ("covariances",) if np.isfinite(file.poses.covariance).any() else ()
+def _has_views(file: PoseFile) -> bool:
+    return bool(file.poses.views.any())
 
 
-def lost_names(file: PoseFile) -> tuple[str, ...]:
-    """Return what is lost by a format that does not name individuals."""
-    unnamed = all(UNNAMED.fullmatch(name) for name in file.individuals)
-    return () if unnamed else ("the individuals' names",)
+def _has_confidences(file: PoseFile) -> bool:
+    return bool(np.isfinite(file.poses.confidence).any())
+
+
+def _has_covariances(file: PoseFile) -> bool:
+    return bool(np.isfinite(file.poses.covariance).any())
+
+
+def _has_names(file: PoseFile) -> bool:
+    return not all(UNNAMED.fullmatch(name) for name in file.individuals)
+
+
+def _has_lens(file: PoseFile) -> bool:
+    return file.rig is not None and any(camera.distortion.any() for camera in file.rig)
+
+
+UNIT = Loss("the unit ({0.poses.unit})", _has_unit)
+ERRORS = Loss("reprojection errors", _has_errors)
+VIEWS = Loss("numbers of views", _has_views)
+CONFIDENCES = Loss("confidences", _has_confidences)
+COVARIANCES = Loss("covariances", _has_covariances)
+QUALITY = (ERRORS, VIEWS, CONFIDENCES, COVARIANCES)  # of positions alone
+INDIVIDUALS = Loss("the individuals' names", _has_names)
+LENSES = Loss("the distortion of lenses", _has_lens)

@@ -5,7 +5,7 @@
 * A missing point is three empty cells. OpenSim does not count an empty cell at the end of a line
   unless a tab stands behind it.
 * Frames have no gaps. Lengths are metres or millimetres, and y is up.
-* Joints of people are called as the markers of Pose2Sim's OpenSim models (`io.poses.opensim`).
+* Joints of people are called as the markers of Pose2Sim's OpenSim models.
 """
 
 import math
@@ -14,26 +14,47 @@ import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
-from mocap_calib.io.poses.common import (
+from mocap_calib.io.format import Format
+from mocap_calib.io.poses import (
+    INDIVIDUALS,
+    QUALITY,
     PoseFile,
-    WrittenPoses,
     bare_poses,
     convert_unit,
     fill_gaps,
-    lost_names,
-    lost_quality,
     mark_missing,
     need_keypoints,
     need_rate,
 )
-from mocap_calib.io.poses.opensim import marker_names
 from mocap_calib.io.units import known_unit
+from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.types import Floats, Ints
 
 _NEEDED = {"DataRate", "NumMarkers", "Units"}
 _HEADER_LINES = 5
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _NAMES = r"[^\t\r\n\x0b\x0c\x1c-\x1e\x85\u2028\u2029\ud800-\udfff]*[^\s\ud800-\udfff]"
+
+
+_PEOPLE = "people"
+# joint of the skeleton `people`, without its side -> marker; a side becomes an L or an R before it
+_MARKERS = {
+    "nose": "Nose",
+    "eye": "Eye",
+    "ear": "Ear",
+    "shoulder": "Shoulder",
+    "elbow": "Elbow",
+    "wrist": "Wrist",
+    "hip": "Hip",
+    "knee": "Knee",
+    "ankle": "Ankle",
+    "head_top": "Head",
+    "neck": "Neck",
+    "mid_hip": "Hip",
+    "big_toe": "BigToe",
+    "small_toe": "SmallToe",
+    "heel": "Heel",
+}
 
 
 def sniff(document: Document) -> bool:
@@ -118,7 +139,7 @@ def _parse_number(cell: str) -> float:
 # --- writing
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write one individual without gaps, frame 0 at time 0. Raises MismatchError."""
     rate = need_rate(file, "trc")
     need_keypoints(file, _NAMES, "text without tabs, not ending in a space", "trc")
@@ -128,8 +149,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     table = positions[:, 0].reshape(len(frames), -1) + 0.0  # which takes the sign from zeros
     for frame, row in zip(frames.tolist(), table.tolist(), strict=True):
         lines.append(f"{frame}\t{frame / rate!r}\t{_format_row(row)}")
-    content = ("\n".join(lines) + "\n").encode()
-    return WrittenPoses(content, (*lost_quality(file), *lost_names(file)))
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _format_header(file: PoseFile, title: str, frames: Ints, rate: float) -> list[str]:
@@ -137,7 +157,7 @@ def _format_header(file: PoseFile, title: str, frames: Ints, rate: float) -> lis
 
     frames: `[frame]` numbers that are written.
     """
-    names = marker_names(file)
+    names = _marker_names(file)
     count = str(len(frames))
     fields = {
         "DataRate": repr(rate),
@@ -159,7 +179,49 @@ def _format_header(file: PoseFile, title: str, frames: Ints, rate: float) -> lis
     ]
 
 
+def _marker_names(file: PoseFile) -> tuple[str, ...]:
+    """Return the names `[keypoint]` of markers: left_hip -> LHip, mid_hip -> Hip.
+
+    Those of the models in Pose2Sim's OpenSim_Setup (Halpe26, Body25, Coco17). Keypoints that they
+    do not have, and those of animals, keep their names.
+    """
+    names = file.poses.keypoints
+    skeleton = choose_skeleton(file.spelt)
+    if skeleton.name != _PEOPLE:
+        return names
+    joints = match_names(file.spelt, skeleton)
+    markers = tuple(
+        _name_marker(skeleton.keypoints[joint], name) if joint >= 0 else name
+        for name, joint in zip(names, joints, strict=True)
+    )
+    return markers if len(set(markers)) == len(names) else names
+
+
+def _name_marker(joint: str, otherwise: str) -> str:
+    """Return the marker of a joint, another name where it has none."""
+    side, _, rest = joint.partition("_")
+    if side in ("left", "right"):
+        return f"{side[0].upper()}{_MARKERS[rest]}" if rest in _MARKERS else otherwise
+    return _MARKERS.get(joint, otherwise)
+
+
 def _format_row(row: list[float]) -> str:
     """Return the cells of a frame, empty for NaN, the last with a tab behind it if empty."""
     cells = "\t".join("" if math.isnan(value) else repr(value) for value in row)
     return cells + "\t" if cells.endswith("\t") else cells
+
+
+POSES = Format(
+    kind="poses",
+    name="trc",
+    title="OpenSim TRC",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".trc",),
+    single=True,
+    timed=True,
+    unit="mm",
+    up="y",
+    loses=(*QUALITY, INDIVIDUALS),
+)

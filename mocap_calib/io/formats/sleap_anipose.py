@@ -7,21 +7,20 @@
 """
 
 import io
-from collections.abc import Sequence
 
 import h5py
 import numpy as np
 
 from mocap_calib.io.document import Document
-from mocap_calib.io.hdf5 import array, integers, names
-from mocap_calib.io.poses.common import (
+from mocap_calib.io.format import Format
+from mocap_calib.io.hdf5 import array, integers, names, write_names
+from mocap_calib.io.poses import (
+    QUALITY,
     PoseFile,
-    WrittenPoses,
     attribute,
     bare_poses,
     fill_gaps,
     is_hdf5_that,
-    lost_quality,
     mark_missing,
     opened_hdf5,
 )
@@ -79,7 +78,7 @@ def _describe_nodes(count: int) -> str:
 # --- writing
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write the tracks without gaps. Raises MismatchError."""
     frames, positions = fill_gaps(file.poses, "sleap-anipose")
     content = io.BytesIO()
@@ -87,13 +86,20 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         tracks = out.create_dataset("tracks", data=positions, track_times=False)
         tracks.attrs["Description"] = "Shape: (n_frames, n_tracks, n_nodes, 3)."
         out.create_dataset("frames", data=frames, track_times=False)
-        _write_names(out, "node_names", file.poses.keypoints)
-        _write_names(out, "track_names", file.individuals)
+        write_names(out, "node_names", file.poses.keypoints)
+        write_names(out, "track_names", file.individuals)
         out.attrs["unit"] = file.poses.unit
         out.attrs["fps"] = file.rate
-    return WrittenPoses(content.getvalue(), lost_quality(file))
+    return content.getvalue()
 
 
-def _write_names(out: h5py.File, name: str, values: Sequence[str]) -> None:
-    data = np.array(values, dtype=object)
-    out.create_dataset(name, data=data, dtype=h5py.string_dtype(), track_times=False)
+POSES = Format(
+    kind="poses",
+    name="sleap-anipose",
+    title="SLEAP-anipose points3d.h5",
+    sniff=sniff,
+    read=read,
+    write=write,
+    result="points3d.h5",
+    loses=(*QUALITY,),
+)

@@ -1,4 +1,4 @@
-"""A Python script that builds the poses in Blender: `io.poses.blender_scene` with its data inside.
+"""A Python script that builds the poses in Blender: `blender_scene.py` with its data inside.
 
 Lengths are metres where they are known. z is up where the poses say what is up, as Blender has it.
 Blender's cameras are the pinhole parts of ours; its images begin at the corner of a pixel.
@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.poses.common import (
+from mocap_calib.io.format import Format
+from mocap_calib.io.poses import (
+    LENSES,
+    QUALITY,
     PoseFile,
-    WrittenPoses,
     convert_unit,
     known_edges,
-    lost_quality,
 )
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.kinematics import bone_lengths
@@ -32,7 +33,7 @@ _LINE = 96  # letters
 _PLACE = re.compile(r'^SCENE = "".*$', re.MULTILINE)
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write the script. What it shows is not what was measured: it has no errors of points."""
     if file.poses.unit != ARBITRARY:
         file = convert_unit(file, "m", "blender")
@@ -40,11 +41,9 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     packed = base64.b64encode(zlib.compress(said.encode(), 9)).decode()
     lines = [packed[k : k + _LINE] for k in range(0, len(packed), _LINE)]
     data = "SCENE = (\n" + "".join(f'    "{line}"\n' for line in lines) + ")"
-    script = resources.files("mocap_calib.io.poses") / "blender_scene.py"
+    script = resources.files("mocap_calib.io.formats") / "blender_scene.py"
     text = _PLACE.sub(lambda _: data, script.read_text("utf-8"), count=1)
-    lens = file.rig is not None and any(camera.distortion.any() for camera in file.rig)
-    lost = ("the distortion of lenses",) if lens else ()
-    return WrittenPoses(text.encode(), (*lost, *lost_quality(file)))
+    return text.encode()
 
 
 def describe_scene(file: PoseFile, title: str = "") -> dict[str, Any]:
@@ -131,3 +130,16 @@ def _find_floor(file: PoseFile) -> list[float] | None:
     points = points[np.isfinite(points).all(-1)]
     middle = np.median(points, axis=0) if len(points) else np.zeros(3)
     return [*(middle[:2] + 0.0).tolist(), float(world.floor[2]) + 0.0]
+
+
+POSES = Format(
+    kind="poses",
+    name="blender",
+    title="Python script for Blender",
+    write=write,
+    endings=(".py",),
+    result="poses.blend.py",
+    rig=True,
+    up="z",
+    loses=(LENSES, *QUALITY),
+)

@@ -1,4 +1,4 @@
-"""Builds a recording in Blender: bodies, cameras and the floor. `io.poses.blender` adds the data.
+"""Builds a recording in Blender: bodies, cameras and the floor.
 
 Run it with `blender --python FILE`, or open it in Blender's text editor and press Run. Each run
 makes a scene of its own. For Blender 3.4 or newer. Written by mocap-calib.
@@ -13,7 +13,7 @@ import bmesh
 import bpy
 from mathutils import Matrix
 
-SCENE = ""  # zlib, base64: the JSON of `io.poses.blender.describe_scene`
+SCENE = ""  # zlib, base64: the JSON of what is built
 
 COLOURS = ((0.9, 0.35, 0.1), (0.1, 0.45, 0.9), (0.15, 0.7, 0.3), (0.75, 0.2, 0.75), (0.9, 0.8, 0.1))
 

@@ -19,14 +19,14 @@ import numpy as np
 from mocap_calib import __version__
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.document import Document
+from mocap_calib.io.format import Format
 from mocap_calib.io.formats.movement import read_variable
 from mocap_calib.io.hdf5 import array, integers, names
-from mocap_calib.io.poses.common import (
+from mocap_calib.io.poses import (
+    COVARIANCES,
     PoseFile,
-    WrittenPoses,
     attribute,
     is_hdf5_that,
-    lost_covariance,
     mark_missing,
     opened_hdf5,
 )
@@ -121,7 +121,7 @@ def _read_frames(file: h5py.File, rate: float, source: str) -> Ints:
 # --- writing
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write movement's own variables.
 
     The variables frame, views and reprojection_error stand beside them; movement leaves them alone.
@@ -140,7 +140,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
             out.create_variable(name, dimensions, data=values, **blank)
         for name, value in _attributes(file, title).items():
             out.attrs[name] = value
-    return WrittenPoses(content.getvalue(), lost_covariance(file))
+    return content.getvalue()
 
 
 def to_dataset(file: PoseFile) -> "xarray.Dataset":
@@ -201,3 +201,15 @@ def _attributes(file: PoseFile, title: str) -> dict[str, Any]:
     if title:
         attributes["log"] = title
     return attributes
+
+
+POSES = Format(
+    kind="poses",
+    name="movement-3d",
+    title="movement netCDF",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".nc",),
+    loses=(COVARIANCES,),
+)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib.geometry.rotation import skew
-from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses import PoseFile
 from mocap_calib.types import Floats
 
 # axis that points up -> rotation of the world that makes it y

@@ -1,6 +1,6 @@
 """BVH of one individual: a hierarchy of joints and how they turn, for animation programs.
 
-* The root stands at the hips; `io.poses.bvh_motion` says how joints turn.
+* The root stands at the hips; `io.formats.bvh_motion` says how joints turn.
 * A joint with several bones does not turn itself: each of its bones hangs on a joint of its own in
   the same place, called `neck_to_left_shoulder`. What stands in the file is thus exact but for the
   bones, which have one length each: their mean.
@@ -11,14 +11,14 @@
 
 import numpy as np
 
-from mocap_calib.io.poses.bvh_motion import Motion, Tree, find_motion, make_tree, place_joints
-from mocap_calib.io.poses.common import (
+from mocap_calib.io.format import Format, Loss
+from mocap_calib.io.formats.bvh_motion import Motion, Tree, find_motion, make_tree, place_joints
+from mocap_calib.io.poses import (
+    INDIVIDUALS,
+    QUALITY,
+    UNIT,
     PoseFile,
-    WrittenPoses,
     fill_gaps,
-    lost_names,
-    lost_quality,
-    lost_unit,
     need_keypoints,
     need_rate,
 )
@@ -28,7 +28,7 @@ _TURN = "CHANNELS 3 Zrotation Xrotation Yrotation"
 _MOVE = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write one individual. Raises MismatchError where no skeleton joins its keypoints."""
     rate = need_rate(file, "bvh")
     need_keypoints(file, r"\S+", "text without spaces", "bvh")
@@ -41,10 +41,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     table = np.concatenate([motion.root, *columns], axis=1) + 0.0
     lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / rate!r}"]
     lines += [" ".join([f"{value:.6g}" for value in row]) for row in table.tolist()]
-    left_out = len(file.poses.keypoints) - len({k for own in tree.keypoints for k in own})
-    lost = ("keypoints that no bone joins",) if left_out else ()
-    content = ("\n".join(lines) + "\n").encode()
-    return WrittenPoses(content, (*lost, *lost_unit(file), *lost_quality(file), *lost_names(file)))
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _describe_joint(
@@ -101,3 +98,23 @@ def _angles(turns: Floats, frames: int) -> Floats:
     y = np.where(level, np.arctan2(-turns[:, 2, 0], turns[:, 2, 2]), 0.0)
     angles = np.unwrap(np.stack([z, np.arcsin(sine), y], axis=-1), axis=0)
     return np.broadcast_to(np.degrees(angles), (frames, 3))
+
+
+def _has_loose_keypoints(file: PoseFile) -> bool:
+    """Return whether a keypoint is joined to no other."""
+    joined = {k for own in make_tree(file).keypoints for k in own}
+    return len(joined) < len(file.poses.keypoints)
+
+
+JOINTS = Loss("keypoints that no bone joins", _has_loose_keypoints)
+POSES = Format(
+    kind="poses",
+    name="bvh",
+    title="BVH of animation programs",
+    write=write,
+    endings=(".bvh",),
+    single=True,
+    timed=True,
+    up="y",
+    loses=(JOINTS, UNIT, *QUALITY, INDIVIDUALS),
+)

@@ -8,20 +8,29 @@
 
 import csv
 import io
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.errors import FormatError
+from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.atomic import (
+    check_no_further_individual,
+    individual_files,
+    replace_folder,
+    write_pieces,
+)
 from mocap_calib.io.document import Document
-from mocap_calib.io.poses.common import (
+from mocap_calib.io.format import Format
+from mocap_calib.io.poses import (
+    COVARIANCES,
+    INDIVIDUALS,
+    UNIT,
     PoseFile,
-    WrittenPoses,
-    lost_covariance,
-    lost_names,
-    lost_unit,
     mark_missing,
 )
-from mocap_calib.io.results.poses_csv import poses_csv
+from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import Poses3D
 from mocap_calib.types import Floats, Ints
@@ -115,7 +124,64 @@ def _parse_frames(numbers: Floats, source: str) -> Ints:
 # --- writing
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write the one individual."""
-    content = b"".join(poses_csv(file.poses, 0))
-    return WrittenPoses(content, (*lost_unit(file), *lost_covariance(file), *lost_names(file)))
+    return b"".join(poses_csv(file.poses, 0))
+
+
+def check_poses_csv(path: Path, individuals: int) -> None:
+    """Raise MismatchError where `write_poses_csv` should not write so many individuals.
+
+    That is where there is none, and where a file there would pass for one more.
+    """
+    if not individuals:
+        raise MismatchError(path, "at least one individual", "none", "nothing to write")
+    check_no_further_individual(path, individuals)
+
+
+def write_poses_csv(path: Path, poses: Poses3D) -> None:
+    """Write one individual to `path`, several to NAME_0.csv, NAME_1.csv, ..., all or none."""
+    with replace_folder(path.absolute().parent) as work:
+        for individual, own in enumerate(individual_files(path, poses.positions.shape[1])):
+            write_pieces(work / own.name, poses_csv(poses, individual))
+
+
+def poses_csv(poses: Poses3D, individual: int) -> Iterator[bytes]:
+    """Yield the poses of one individual as CSV in pieces of UTF-8, a row per frame.
+
+    Cells are empty where something is missing. The columns M and center are anipose's later change
+    of axes: none here.
+    """
+    header = [f"{name}_{field}" for name in poses.keypoints for field in _FIELDS]
+    header += [f"M_{row}{column}" for row in range(3) for column in range(3)]
+    header += [f"center_{axis}" for axis in range(3)]
+    yield format_csv_line([*header, "fnum"]).encode()
+    no_change = [*np.eye(3).ravel().tolist(), 0.0, 0.0, 0.0]
+    axes = "".join(f",{number}" for number in no_change) + ","
+
+    def lines(piece: slice) -> bytes:
+        table = _stack_columns(poses, individual, piece)
+        return format_lines("", table, axes, poses.frames[piece, None])
+
+    yield from map_in_threads(lines, slice_frames(len(poses.frames), len(header)))
+
+
+def _stack_columns(poses: Poses3D, individual: int, piece: slice) -> Floats:
+    """Return `[frame, 6 keypoint]` x, y, z, error, ncams, score of each keypoint."""
+    own = (piece, individual)
+    quality = [poses.error[own], poses.views[own].astype(np.float64), poses.confidence[own]]
+    table = np.concatenate([poses.positions[own], np.stack(quality, axis=-1)], axis=-1)
+    return table.reshape(len(table), -1) + 0.0  # which takes the sign from zeros
+
+
+POSES = Format(
+    kind="poses",
+    name="anipose-csv",
+    title="Anipose CSV",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".csv",),
+    single=True,
+    loses=(UNIT, COVARIANCES, INDIVIDUALS),
+)

@@ -1,4 +1,4 @@
-"""Read files of 3D poses of any format of `io.poses.formats`.
+"""Read and write files of 3D poses.
 
 `read_poses` returns the poses; `load_poses` all that a file says.
 """
@@ -11,14 +11,44 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, argument
+from mocap_calib.io.atomic import individual_files, write_bytes, write_files
 from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.document import NAMELESS, Document
 from mocap_calib.io.file import find_repeated
-from mocap_calib.io.format import require_format, sniff
-from mocap_calib.io.poses.common import UNNAMED, PoseFile, check_poses
-from mocap_calib.io.poses.formats import OWN, POSE_FORMATS
+from mocap_calib.io.format import Written, find_format, require_format, sniff
+from mocap_calib.io.formats import (
+    anipose_csv,
+    blender,
+    bvh,
+    c3d_file,
+    movement_3d,
+    npz,
+    nwb_3d,
+    own_poses,
+    rerun_file,
+    sleap_anipose,
+    trc,
+)
+from mocap_calib.io.pose_axes import turn_upright
+from mocap_calib.io.poses import UNNAMED, PoseFile, check_poses
 from mocap_calib.io.units import ARBITRARY, refuse_unit
 from mocap_calib.results import Poses3D
+
+OWN = "poses-h5"  # the format of a run
+
+POSE_FORMATS = (
+    own_poses.POSES,
+    anipose_csv.POSES,
+    trc.POSES,
+    c3d_file.POSES,
+    movement_3d.POSES,
+    sleap_anipose.POSES,
+    nwb_3d.POSES,
+    npz.POSES,
+    bvh.POSES,
+    blender.POSES,
+    rerun_file.POSES,
+)
 
 
 def read_poses(
@@ -142,3 +172,51 @@ def _join_names(files: Sequence[PoseFile]) -> tuple[str, ...]:
         if UNNAMED.fullmatch(name):
             names[index] = f"individual_{index}"
     return () if find_repeated(names) else tuple(names)
+
+
+def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Written:
+    """Return the files of the poses in the format, and what they do not carry.
+
+    path: gives the name of the file. Where a file holds one individual and there are several, the
+        files are called NAME_0, NAME_1, ...
+    title: of the poses, for formats that have a place for one.
+
+    Where the poses say what is up, they are turned so that it is the axis that the format's readers
+    take for up.
+
+    Raises MismatchError where the format carries too little.
+    """
+    known = find_format(POSE_FORMATS, format)
+    write = known.writer()
+    file = turn_upright(file, known.up)
+    if not known.single:
+        return Written({path.name: write(file, title)}, known.lost(file))
+    if not file.individuals:
+        raise MismatchError(format, "at least one individual", "none", "nothing to write")
+    names = [own.name for own in individual_files(path, len(file.individuals))]
+    files = {
+        name: write(_select_individual(file, individual), title or name)
+        for individual, name in enumerate(names)
+    }
+    return Written(files, known.lost(file))
+
+
+def write_poses(path: str | Path, file: PoseFile, format: str, title: str = "") -> tuple[str, ...]:
+    """Write the poses in the format, whole or not at all; the arguments are `format_poses`'.
+
+    Returns what of the poses the format does not carry. Raises MismatchError where it carries too
+    little.
+    """
+    path = Path(path)
+    written = format_poses(file, format, path, title)
+    if path.name in written.files:
+        write_bytes(path, written.files[path.name])
+    else:
+        write_files(path.absolute().parent, written.files)
+    return written.lost
+
+
+def _select_individual(file: PoseFile, individual: int) -> PoseFile:
+    """Return the file with one individual alone; what it is called stays."""
+    poses = file.poses.select([individual])
+    return replace(file, poses=poses, individuals=(file.individuals[individual],))

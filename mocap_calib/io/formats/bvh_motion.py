@@ -13,8 +13,8 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import mean_of_known, nearest_rotation
-from mocap_calib.io.poses.axes import turn_between
-from mocap_calib.io.poses.common import PoseFile, known_edges
+from mocap_calib.io.pose_axes import turn_between
+from mocap_calib.io.poses import PoseFile, known_edges
 from mocap_calib.kinematics import bone_lengths
 from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.types import Bools, Floats, Ints, Record

@@ -17,14 +17,14 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.document import Document
-from mocap_calib.io.poses.axes import up_axis
-from mocap_calib.io.poses.common import (
+from mocap_calib.io.format import Format
+from mocap_calib.io.pose_axes import up_axis
+from mocap_calib.io.poses import (
+    QUALITY,
     PoseFile,
-    WrittenPoses,
     bare_poses,
     convert_unit,
     fill_gaps,
-    lost_quality,
     mark_missing,
     need_keypoints,
     need_rate,
@@ -146,7 +146,7 @@ def _label(individual: str, keypoint: str) -> str:
 # --- writing
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write all individuals; the markers of a single one without a name keep their names.
 
     Raises MismatchError.
@@ -166,8 +166,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     table = _make_table(positions.reshape(len(frames), len(labels), 3))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it misses analog channels
-        content = _format_file(table, labels, rate=rate, first=first + 1, up=up_axis(file))
-    return WrittenPoses(content, lost_quality(file))
+        return _format_file(table, labels, rate=rate, first=first + 1, up=up_axis(file))
 
 
 def _make_labels(file: PoseFile) -> list[str]:
@@ -220,3 +219,17 @@ def _format_file(table: Floats, labels: list[str], *, rate: float, first: int, u
     content = io.BytesIO()
     writer.write(content)
     return content.getvalue()
+
+
+POSES = Format(
+    kind="poses",
+    name="c3d",
+    title="C3D",
+    sniff=sniff,
+    read=read,
+    write=write,
+    endings=(".c3d",),
+    timed=True,
+    unit="mm",
+    loses=(*QUALITY,),
+)

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.poses.axes import up_axis
-from mocap_calib.io.poses.common import (
+from mocap_calib.io.format import Format
+from mocap_calib.io.pose_axes import up_axis
+from mocap_calib.io.poses import (
+    LENSES,
+    QUALITY,
+    UNIT,
     PoseFile,
-    WrittenPoses,
     known_edges,
-    lost_quality,
-    lost_unit,
 )
 
 _UP = {  # axis that points up -> rerun's name for a right-handed frame of reference
@@ -30,7 +31,7 @@ _UP = {  # axis that points up -> rerun's name for a right-handed frame of refer
 }
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:
+def write(file: PoseFile, title: str) -> bytes:
     """Write a recording."""
     import rerun  # noqa: PLC0415  # an extra
 
@@ -42,10 +43,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         for number, name in enumerate(file.individuals):
             _log_individual(rerun, stream, file, number, rerun.new_entity_path(["poses", name]))
         stream.disconnect()
-        content = path.read_bytes()
-    lens = file.rig is not None and any(camera.distortion.any() for camera in file.rig)
-    lost = ("the distortion of lenses",) if lens else ()
-    return WrittenPoses(content, (*lost, *lost_unit(file), *lost_quality(file)))
+        return path.read_bytes()
 
 
 def _log_scene(rerun: Any, stream: Any, file: PoseFile) -> None:
@@ -87,3 +85,16 @@ def _log_individual(rerun: Any, stream: Any, file: PoseFile, number: int, place:
         class_ids=np.full(len(keypoints), number),
     )
     stream.send_columns(place, indexes=times, columns=columns.partition(counts))
+
+
+POSES = Format(
+    kind="poses",
+    name="rerun",
+    title="rerun recording",
+    write=write,
+    endings=(".rrd",),
+    rig=True,
+    packages=("rerun",),
+    extra="rerun",
+    loses=(LENSES, UNIT, *QUALITY),
+)

@@ -1,1 +1,0 @@
-"""Files of 3D poses, a module a format."""
