@@ -116,6 +116,8 @@ def _check_rotation(given: Floats, source: str) -> Floats:
 def _check_matrix(value: Any, size: tuple[int, int], source: str) -> Floats:
     """Return the `[3, 3]` camera matrix; a skew that nobody sees is set to 0."""
     matrix = numbers(value, "a 3 x 3 camera matrix", source)
+    if matrix.shape == (9,):
+        matrix = matrix.reshape(3, 3)
     remedy = "mend the camera matrix"
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         found = f"shape {matrix.shape}"

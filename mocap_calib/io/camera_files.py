@@ -8,7 +8,6 @@ without either leaves it open ("arbitrary") until someone says it.
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import reduce
 from itertools import combinations, takewhile
 from pathlib import Path, PurePath
 from typing import Any
@@ -17,7 +16,7 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
-from mocap_calib.io.cameras import CameraFile, join_camera_files, unique
+from mocap_calib.io.cameras import CameraFile, unique
 from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.document import NAMELESS, Document
 from mocap_calib.io.format import (
@@ -32,17 +31,11 @@ from mocap_calib.io.formats import (
     anipose,
     colmap,
     dannce,
-    easymocap,
-    four_d_association,
-    jarvis,
-    kalibr,
-    multiview_calib,
+    json_rigs,
     nerfstudio,
     opencv,
     openmvg,
     own_cameras,
-    panoptic,
-    voxelpose,
 )
 from mocap_calib.io.media import name_media
 from mocap_calib.io.names import camera_name
@@ -59,19 +52,19 @@ CAMERA_FORMATS = (
     anipose.FREEMOCAP,
     anipose.POSE2SIM,
     anipose.ANIPOSE,
-    jarvis.FORMAT,
-    easymocap.FORMAT,
-    kalibr.FORMAT,
+    opencv.JARVIS,
+    opencv.EASYMOCAP,
+    opencv.KALIBR,
     opencv.ROS,
     opencv.OPENCV,
     colmap.BINARY,
     colmap.TEXT,
-    panoptic.FORMAT,
-    voxelpose.FORMAT,
-    four_d_association.FORMAT,
+    json_rigs.PANOPTIC,
+    json_rigs.VOXELPOSE,
+    json_rigs.FOUR_D_ASSOCIATION,
     nerfstudio.FORMAT,
     openmvg.FORMAT,
-    multiview_calib.FORMAT,
+    json_rigs.MULTIVIEW_CALIB,
     dannce.CAMERAS,
 )
 
@@ -153,7 +146,7 @@ def load_document(document: Document, format: str | None, unit: str | None) -> C
     if format is not None and not document.is_folder:
         document = replace(document, format=format)
     known = guard_hdf5(document, require_format, CAMERA_FORMATS, document, format, _REMEDY)
-    return _complete(_read_judged(known, document), known, document.source, unit)
+    return _complete(known.reader()(document), known, document, unit)
 
 
 def looks_like_cameras(path: Path | bytes) -> bool:
@@ -186,7 +179,18 @@ def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile
     if not single:
         raise _no_camera_files(path, ONE_CAMERA_ENDINGS, ", ".join(folder.names))
     parts = [load_document(Document(file), format, unit) for file in single]
-    return reduce(lambda found, more: join_camera_files(found, more, str(path)), parts)
+    units = sorted({each.unit for each in parts})
+    if len(units) > 1:
+        found = " and ".join(units)
+        raise folder.refuse("files in one unit of length", found, "convert one of them")
+    judged = parts[0].judgement
+    return CameraFile(
+        cameras=unique((camera for each in parts for camera in each.cameras), str(path)),
+        extrinsics={name: given for each in parts for name, given in each.extrinsics.items()},
+        unit=units[0],
+        notes=tuple(note for each in parts for note in each.notes),
+        judgement=judged if all(each.judgement == judged for each in parts) else {},
+    )
 
 
 def _list_files(path: Path, endings: tuple[str, ...]) -> list[Path]:
@@ -203,63 +207,42 @@ def _no_camera_files(path: Path, endings: tuple[str, ...], found: str) -> Format
     return FormatError(str(path), expected, found, "give the file itself")
 
 
-def _read_judged(form: Format, document: Document) -> CameraFile:
-    """Return what a document says, with the verdict in its comments where it has none elsewhere.
+def _complete(found: CameraFile, form: Format, document: Document, unit: str | None) -> CameraFile:
+    """Return what a format found, with names as they are compared (`compose_name`) and a unit.
 
-    Raises FormatError.
+    The unit is what the file states, else the user, else the format; the verdict is that of the
+    file's comments, where it has none elsewhere. Raises FormatError where a name is no text, or
+    two cameras have one name then, and MismatchError where the file contradicts the user.
     """
-    found = _compose_names(form.reader()(document), document.source)
-    if found.judgement:
-        return found
-    comments = (read_comments(each.content) for each in document.documents())
-    judged = (read_description(lines) for lines in comments)
-    return replace(found, judgement=next(filter(None, judged), {}))
-
-
-def _compose_names(found: CameraFile, source: str) -> CameraFile:
-    """Return what was found under names as they are compared, see `compose_name`.
-
-    Raises FormatError where a name is no text, or two cameras have one name then.
-    """
+    source = document.source
     cameras = (replace(each, name=camera_name(each.name, source)) for each in found.cameras)
     extrinsics = {compose_name(name): placed for name, placed in found.extrinsics.items()}
-    return replace(found, cameras=unique(cameras, source), extrinsics=extrinsics)
-
-
-def _complete(found: CameraFile, form: Format, source: str, unit: str | None) -> CameraFile:
-    """Return what was found with its unit of length, and notes of cameras in one place.
-
-    The unit is what the file states, else the user, else the format. Raises MismatchError where
-    the file contradicts the user.
-    """
     stated = known_unit(found.unit, source)
     if unit is not None and found.unit.strip().lower() == ARBITRARY:
         raise refuse_unit(source, unit)
     if unit is not None and stated not in (ARBITRARY, unit):
-        raise MismatchError(
-            source,
-            f"lengths in {stated}, as the file says",
-            argument("input_unit", unit),
-            "leave it out",
-        )
-    if stated == ARBITRARY:
-        stated = unit or form.unit or ARBITRARY
-    return replace(found, unit=stated, notes=(*found.notes, *_note_same_places(found)))
+        expected = f"lengths in {stated}, as the file says"
+        raise MismatchError(source, expected, argument("input_unit", unit), "leave it out")
+    comments = (_read_comments(each.content) for each in document.documents())
+    judged = map(read_description, comments)
+    # cameras in one place that look one way: one was copied from the other
+    alike = [
+        f"cameras {first} and {second} stand in the same place and look the same way: "
+        "one of them is wrong"
+        for (first, here), (second, there) in combinations(extrinsics.items(), 2)
+        if np.array_equal(here[0], there[0]) and np.array_equal(here[1], there[1])
+    ]
+    return replace(
+        found,
+        cameras=unique(cameras, source),
+        extrinsics=extrinsics,
+        unit=(unit or form.unit or ARBITRARY) if stated == ARBITRARY else stated,
+        notes=(*found.notes, *alike),
+        judgement=found.judgement or next(filter(None, judged), {}),
+    )
 
 
-def _note_same_places(found: CameraFile) -> list[str]:
-    """Return notes of cameras that stand in one place and look one way.
-
-    Such a calibration went wrong, or one camera was copied from the other.
-    """
-    notes = []
-    for (first, here), (second, there) in combinations(found.extrinsics.items(), 2):
-        if np.array_equal(here[0], there[0]) and np.array_equal(here[1], there[1]):
-            notes.append(
-                f"cameras {first} and {second} stand in the same place and look the same way: "
-                "one of them is wrong"
-            )
-    return notes
+# --- writing
 
 
 def format_rig(
@@ -287,8 +270,8 @@ def format_rig(
     if len(points.positions) and not known.points:
         lost = f"{len(points.positions)} 3D points"
         written = replace(written, lost=(*written.lost, lost))
-    remarks = [*describe_judgement(provenance), *describe_estimates(rig)]
-    return replace(written, files=add_comments(written.files, remarks))
+    remarks = [*describe_judgement(provenance), *_describe_estimates(rig)]
+    return replace(written, files=_add_comments(written.files, remarks))
 
 
 def write_cameras(
@@ -316,47 +299,43 @@ def write_cameras(
     return written.lost
 
 
+# --- comments at the head of files, where their syntax has comments
+
 _WITH_COMMENTS = (".toml", ".yaml", ".yml", ".txt")
 _MARK = b"# "
 _FILE_STORAGE = b"%YAML:1.0\n---\n"  # OpenCV's header comes before any comment
 
 
-def describe_estimates(rig: CameraRig) -> list[str]:
+def _describe_estimates(rig: CameraRig) -> list[str]:
     """Return a line for each camera whose intrinsics were estimated from the recording."""
-    return [
-        f"camera {camera.name}: intrinsics estimated from the recording, "
-        f"focal length {camera.focal:.1f} +- {camera.focal_sigma:.1f} px{_describe_k1(camera)}"
-        for camera in rig.cameras
-        if isinstance(camera, EstimatedCamera)
-    ]
+    lines = []
+    for camera in rig.cameras:
+        if isinstance(camera, EstimatedCamera):
+            focal = f"focal length {camera.focal:.1f} +- {camera.focal_sigma:.1f} px"
+            k1 = f", k1 {camera.distortion[0]:.3f} +- {camera.k1_sigma:.3f}"
+            lens = k1 if camera.k1_sigma else ""
+            lines.append(
+                f"camera {camera.name}: intrinsics estimated from the recording, {focal}{lens}"
+            )
+    return lines
 
 
-def _describe_k1(camera: EstimatedCamera) -> str:
-    """Return what is known of the lens, nothing where it was not estimated."""
-    if not camera.k1_sigma:
-        return ""
-    return f", k1 {camera.distortion[0]:.3f} +- {camera.k1_sigma:.3f}"
-
-
-def add_comments(files: Mapping[str, bytes], lines: Sequence[str]) -> dict[str, bytes]:
+def _add_comments(files: Mapping[str, bytes], lines: Sequence[str]) -> dict[str, bytes]:
     """Return the files (relative path -> content) with the lines at their head, as comments.
 
     JSON and binary files stay as they are.
     """
     comment = b"".join(_MARK + line.encode() + b"\n" for line in lines)
-    return {name: _put_at_head(name, content, comment) for name, content in files.items()}
+    written = dict(files)
+    for name, content in files.items():
+        if PurePath(name).suffix in _WITH_COMMENTS:
+            header = _FILE_STORAGE if content.startswith(_FILE_STORAGE) else b""
+            written[name] = header + comment + content.removeprefix(header)
+    return written
 
 
-def read_comments(content: bytes) -> list[str]:
+def _read_comments(content: bytes) -> list[str]:
     """Return the lines of the comments at the head of a file, none where it has no comments."""
     lines = io.BytesIO(content.removeprefix(_FILE_STORAGE))  # not all of them: files may be large
     comments = takewhile(lambda line: line.startswith(_MARK), lines)
     return [line.strip(b"\r\n").removeprefix(_MARK).decode(errors="replace") for line in comments]
-
-
-def _put_at_head(name: str, content: bytes, comment: bytes) -> bytes:
-    """Return the content of one file with a comment at its head, if its syntax has comments."""
-    if PurePath(name).suffix not in _WITH_COMMENTS:
-        return content
-    header = _FILE_STORAGE if content.startswith(_FILE_STORAGE) else b""
-    return header + comment + content.removeprefix(header)

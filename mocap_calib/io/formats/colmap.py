@@ -4,29 +4,33 @@ pycolmap reads and writes them (`colmap_model.py`). It is loaded late, as it tak
 reads in a process of its own, as models are other people's files.
 
 * An image is a camera here: a rig that stands still has one image a camera, called after it.
-* There is no unit of length; a comment `# unit: m` in cameras.txt says ours.
+* There is no unit of length; a comment `# unit: m` in cameras.txt states ours.
 """
 
 import tempfile
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.io.cameras import (
-    COLMAP_LENSES,
-    CameraFile,
-    need_names,
-    need_sizes,
-    without_verdict,
-)
+from mocap_calib.io.cameras import CameraFile, check_rig
 from mocap_calib.io.crash_guard import guard
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format, Written
-from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import ObservedPoints
-from mocap_calib.types import CameraRig
+from mocap_calib.types import ARBITRARY, CameraRig
 
+# the camera models that have a lens of ours, and whether that is cv2.fisheye's
+LENSES = {
+    "SIMPLE_PINHOLE": False,
+    "PINHOLE": False,
+    "SIMPLE_RADIAL": False,
+    "RADIAL": False,
+    "OPENCV": False,
+    "FULL_OPENCV": False,
+    "OPENCV_FISHEYE": True,
+    "SIMPLE_RADIAL_FISHEYE": True,
+    "RADIAL_FISHEYE": True,
+}
 _BINARY, _TEXT = ".bin", ".txt"
 _CAMERAS, _IMAGES, _POINTS = "cameras", "images", "points3D"
 _FILES = (_CAMERAS, _IMAGES, _POINTS, "rigs", "frames")
@@ -52,26 +56,26 @@ def sniff_text(document: Document) -> bool:
     if document.syntax != "yaml":
         return False
     rows = [line.split() for line in document.text.splitlines()[:8]]
-    return any(len(row) > 1 and row[1] in COLMAP_LENSES for row in rows)
+    return any(len(row) > 1 and row[1] in LENSES for row in rows)
 
 
 # --- reading
 
 
-def parse_binary(document: Document) -> CameraFile:
+def read_binary(document: Document) -> CameraFile:
     """Read the images of a binary model as cameras, with the points that they see.
 
     Without images there are the cameras alone, by their numbers. Raises FormatError.
     """
-    return _parse(document, _BINARY)
+    return _read(document, _BINARY)
 
 
-def parse_text(document: Document) -> CameraFile:
-    """Read a text model as `parse_binary` does. Raises FormatError."""
-    return _parse(document, _TEXT)
+def read_text(document: Document) -> CameraFile:
+    """Read a text model as `read_binary` does. Raises FormatError."""
+    return _read(document, _TEXT)
 
 
-def _parse(document: Document, ending: str) -> CameraFile:
+def _read(document: Document, ending: str) -> CameraFile:
     """Read a model, or its list of cameras alone. Raises FormatError."""
     files = {_CAMERAS + ending: document.content}
     if document.is_folder:
@@ -82,8 +86,9 @@ def _parse(document: Document, ending: str) -> CameraFile:
     if ending == _TEXT:
         files[_IMAGES + _TEXT] += _LINE_OF_POINTS
     own = {name + ending: files[name + ending] for name in _FILES if name + ending in files}
-    unit = _find_unit(own[_CAMERAS + ending]) if ending == _TEXT else ""
-    size = sum(map(len, own.values()))
+    lines = own[_CAMERAS + ending].splitlines() if ending == _TEXT else []
+    units = (line.removeprefix(_UNIT) for line in lines if line.startswith(_UNIT))
+    unit = next(units, b"").decode("utf-8", "replace").strip()[:_UNIT_LENGTH]
     with tempfile.TemporaryDirectory() as work:
         for name, content in own.items():
             (Path(work) / name).write_bytes(content)
@@ -96,7 +101,7 @@ def _parse(document: Document, ending: str) -> CameraFile:
             what="COLMAP model",
             library="COLMAP",
             source=document.source,
-            size=size,
+            size=sum(map(len, own.values())),
             packed=False,
         )
 
@@ -108,52 +113,57 @@ def _read_model(folder: Path, with_images: bool, unit: str, source: str) -> Came
     return colmap_model.read(folder, with_images=with_images, unit=unit, source=source)
 
 
-def _find_unit(content: bytes) -> str:
-    """Return the unit in the comment that `write_text` makes, "" where there is none."""
-    for line in content.splitlines():
-        if line.startswith(_UNIT):
-            return line.removeprefix(_UNIT).decode("utf-8", "replace").strip()[:_UNIT_LENGTH]
-    return ""
-
-
 # --- writing
 
 
 def write_binary(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPoints) -> Written:
     """Write a binary model; an image is called NAME.png. Raises MismatchError."""
-    need_names(rig.names, *_NO_CONTROLS, "colmap-binary")
-    written = _write(rig, points, "colmap-binary", _BINARY)
-    return replace(written, lost=(*written.lost, *without_verdict(provenance)))
+    lost = check_rig(
+        rig,
+        provenance,
+        "colmap-binary",
+        fisheye=True,
+        sizes="needed",
+        names=_NO_CONTROLS,
+        verdict=False,
+    )
+    unit = () if rig.unit == ARBITRARY else ("the unit of length",)
+    return Written(_write(rig, points, _BINARY), (*unit, *_lost_of_points(points), *lost))
 
 
 def write_text(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPoints) -> Written:
     """Write a text model, with the unit; an image is called NAME.png. Raises MismatchError."""
-    need_names(rig.names, *_NO_SPACES, "colmap", _WITH_SPACES)
-    written = _write(rig, points, "colmap", _TEXT)
-    cameras = _CAMERAS + _TEXT
+    lost = check_rig(
+        rig,
+        provenance,
+        "colmap",
+        fisheye=True,
+        sizes="needed",
+        names=_NO_SPACES,
+        remedy=_WITH_SPACES,
+    )
+    files = _write(rig, points, _TEXT)
     unit = b"%s %s\n" % (_UNIT, rig.unit.encode())
-    return Written({**written.files, cameras: unit + written.files[cameras]}, written.lost)
+    files[_CAMERAS + _TEXT] = unit + files[_CAMERAS + _TEXT]
+    return Written(files, (*_lost_of_points(points), *lost))
 
 
-def _write(rig: CameraRig, points: ObservedPoints, name: str, ending: str) -> Written:
-    """Write the files of a model with this ending. name: of the format. Raises MismatchError."""
+def _write(rig: CameraRig, points: ObservedPoints, ending: str) -> dict[str, bytes]:
+    """Return the files of a model with this ending."""
     from mocap_calib.io.formats import colmap_model  # noqa: PLC0415 - takes 0.3 s
 
-    need_sizes(rig, name)
     with colmap_model.silent_colmap(), tempfile.TemporaryDirectory() as work:
         model = colmap_model.build_model(rig, points)
         write = model.write_binary if ending == _BINARY else model.write_text
         write(work)
-        files = {file + ending: (Path(work) / (file + ending)).read_bytes() for file in _FILES}
-    return Written(files, tuple(_list_losses(rig, points, ending)))
+        return {file + ending: (Path(work) / (file + ending)).read_bytes() for file in _FILES}
 
 
-def _list_losses(rig: CameraRig, points: ObservedPoints, ending: str) -> Iterator[str]:
-    """Yield what a model with this ending does not hold, in words that follow "does not hold"."""
-    if ending == _BINARY and rig.unit != ARBITRARY:
-        yield "the unit of length"
-    if len(points.positions):
-        yield "frame, individual and keypoint of a point (the points are in this order)"
+def _lost_of_points(points: ObservedPoints) -> tuple[str, ...]:
+    """Return what a model does not hold of its points."""
+    if not len(points.positions):
+        return ()
+    return ("frame, individual and keypoint of a point (the points are in this order)",)
 
 
 BINARY = Format(
@@ -161,7 +171,7 @@ BINARY = Format(
     name="colmap-binary",
     title="COLMAP binary model",
     sniff=sniff_binary,
-    read=parse_binary,
+    read=read_binary,
     write=write_binary,
     folder=True,
     points=True,
@@ -171,7 +181,7 @@ TEXT = Format(
     name="colmap",
     title="COLMAP text model",
     sniff=sniff_text,
-    read=parse_text,
+    read=read_text,
     write=write_text,
     folder=True,
     points=True,

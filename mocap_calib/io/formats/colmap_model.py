@@ -15,16 +15,14 @@ import pycolmap
 
 from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import FormatError
-from mocap_calib.io.camera_checks import make_camera, make_extrinsics
 from mocap_calib.io.cameras import (
-    COLMAP_LENSES,
     CameraFile,
-    PlacedCamera,
+    RawCamera,
     camera_of_image,
     collect_cameras,
     pinhole_matrix,
-    unique,
 )
+from mocap_calib.io.formats.colmap import LENSES
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, CameraRig
 
@@ -52,15 +50,12 @@ def read(folder: Path, *, with_images: bool, unit: str, source: str) -> CameraFi
     """
     with silent_colmap():
         model = _load(folder, source)
-    lenses = {
-        number: _make_camera(camera, f"{source}: camera {number}")
-        for number, camera in sorted(model.cameras.items())
-    }
+    lenses = {number: _lens(model.cameras[number], source) for number in sorted(model.cameras)}
     if not with_images:
-        return CameraFile(unique(lenses.values(), source), {}, unit)
+        return collect_cameras(lenses.values(), source, unit=unit)
     images = [image for _, image in sorted(model.images.items()) if image.has_pose]
-    placed = [_place_camera(image, lenses[image.camera_id], source) for image in images]
-    return collect_cameras(placed, source, unit=unit, points=_collect_points(model, images))
+    raws = [_place(image, lenses[image.camera_id], source) for image in images]
+    return collect_cameras(raws, source, unit=unit, points=_collect_points(model, images))
 
 
 def _load(folder: Path, source: str) -> pycolmap.Reconstruction:
@@ -110,42 +105,45 @@ def _check_sizes(model: pycolmap.Reconstruction, folder: Path, source: str) -> N
                 )
 
 
-def _make_camera(camera: pycolmap.Camera, where: str) -> Camera:
+def _lens(camera: pycolmap.Camera, source: str) -> RawCamera:
     """Return a camera, called by its number. Raises FormatError where we have no such lens."""
     name = camera.model.name
-    if name not in COLMAP_LENSES:
-        expected = f"one of the camera models {', '.join(COLMAP_LENSES)}"
+    if name not in LENSES:
+        expected = f"one of the camera models {', '.join(LENSES)}"
+        where = f"{source}: camera {camera.camera_id}"
         raise FormatError(where, expected, name, "undistort, or choose another model")
     params = camera.params
     focal = params[camera.focal_length_idxs()]
     middle = params[camera.principal_point_idxs()] - CORNER_OFFSET
-    return make_camera(
+    return RawCamera(
         name=str(camera.camera_id),
         size=[camera.width, camera.height],
         matrix=pinhole_matrix(focal[0], focal[-1], *middle),
         distortion=params[camera.extra_params_idxs()],  # in OpenCV's order, as many as there are
-        fisheye=COLMAP_LENSES[name],
-        source=where,
+        fisheye=LENSES[name],
     )
 
 
-def _place_camera(image: pycolmap.Image, lens: Camera, source: str) -> PlacedCamera:
-    """Return the camera of an image, called after it, and where it stands. Raises FormatError."""
+def _place(image: pycolmap.Image, lens: RawCamera, source: str) -> RawCamera:
+    """Return the camera of an image, called after it. Raises FormatError."""
     try:
         name = image.name
     except UnicodeDecodeError as error:
         raise FormatError(source, "names of images in UTF-8", error, _REMEDY) from None
-    where = f"{source}: image {name}"
     cam_from_world = image.cam_from_world()
     length = cam_from_world.rotation.norm()
     least, most = _LENGTHS_OF_QUATERNIONS
     if not least < length < most:  # nor is NaN
         expected = "a unit quaternion QW QX QY QZ"
-        raise FormatError(where, expected, f"one of the length {length:.3g}", _REMEDY)
+        found = f"one of the length {length:.3g}"
+        raise FormatError(f"{source}: image {name}", expected, found, _REMEDY)
     cam_from_world.rotation.normalize()
-    rotation, translation = cam_from_world.rotation.matrix(), cam_from_world.translation
-    extrinsics = make_extrinsics(rotation, translation, where)
-    return replace(lens, name=camera_of_image(name)), extrinsics
+    return replace(
+        lens,
+        name=camera_of_image(name),
+        rotation=cam_from_world.rotation.matrix(),
+        translation=cam_from_world.translation,
+    )
 
 
 def _collect_points(

@@ -17,23 +17,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from mocap_calib.errors import FormatError
-from mocap_calib.io.camera_checks import make_camera, make_extrinsics, numbers, skew_in_pixels
-from mocap_calib.io.cameras import (
-    CameraFile,
-    PlacedCamera,
-    collect_cameras,
-    terms,
-    without_sizes,
-    without_verdict,
-)
-from mocap_calib.io.document import Document
+from mocap_calib.errors import FormatError, one_line
+from mocap_calib.io.camera_checks import numbers, skew_in_pixels
+from mocap_calib.io.cameras import CameraFile, RawCamera, check_rig, collect_cameras, lens_terms
+from mocap_calib.io.crash_guard import guard
+from mocap_calib.io.document import Document, need
 from mocap_calib.io.file import NO_SCORE, Origin, blank, make_view
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.options import ReadOptions
-from mocap_calib.io.matlab import read_mat
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Keypoints2D
+from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 _REMEDY = "save it from Label3D again, for MATLAB 7 (not 7.3)"
 _VARIABLES = ("camnames", "labelData")
@@ -68,13 +61,7 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 def _read_variables(document: Document) -> tuple[list[str], list[Any]]:
     """Return the names of the cameras and the labels of each. Raises FormatError."""
     source = document.source
-    variables = read_mat(
-        document.content,
-        _VARIABLES,
-        source=source,
-        expected="a whole MATLAB file",
-        remedy=_REMEDY,
-    )
+    variables = _read_mat(document, _VARIABLES, expected="a whole MATLAB file", remedy=_REMEDY)
     missing = set(_VARIABLES) - variables.keys()
     if missing:
         raise FormatError(
@@ -141,116 +128,70 @@ def sniff_cameras(document: Document) -> bool:
 
 def read_cameras(document: Document) -> CameraFile:
     """Read all cameras of a file, or its one camera. Raises FormatError."""
-    params, names = _load(document)
-    placed: list[PlacedCamera] = []
+    raws: list[RawCamera] = []
     notes: list[str] = []
-    for index, fields in enumerate(params):
-        name = names[index] if names else f"Camera{index + 1}"
+    for name, fields in _load(document):
         where = f"{document.source}: camera {name}"
-        _check_fields(fields, where)
-        matrix = numbers(fields["K"], "a 3 x 3 matrix K", where).T
-        if _has_noise_skew(matrix):
-            notes.append(_describe_skew(matrix, name))
-            matrix = _remove_skew(matrix)
-        camera = make_camera(
-            name=name,
-            size=None,
-            matrix=matrix,
-            distortion=_parse_distortion(fields, where),
-            fisheye=False,
-            source=where,
+        need(fields, _FIELDS, where)
+        matrix = numbers(fields["K"], "a 3 x 3 matrix K", where).T.copy()
+        if matrix.shape == (3, 3) and 0 < abs(matrix[0, 1]) < _MOST_SKEW * abs(matrix[0, 0]):
+            moved = f"{skew_in_pixels(matrix):.1f} pixels at the edge of the image"
+            notes.append(
+                f"camera {name}: the skew {matrix[0, 1]:.2f} is left out, which is up to {moved}"
+            )
+            matrix[0, 1] = 0.0
+        raws.append(
+            RawCamera(
+                name=name,
+                matrix=matrix,
+                distortion=_read_distortion(fields, where),
+                rotation=numbers(fields["r"], "a 3 x 3 rotation r", where).T,
+                translation=fields["t"],
+            )
         )
-        rotation = numbers(fields["r"], "a 3 x 3 rotation r", where).T
-        placed.append((camera, make_extrinsics(rotation, fields["t"], where)))
-    return collect_cameras(placed, document.source, notes=notes)
+    return collect_cameras(raws, document.source, notes=notes)
 
 
-def _load(document: Document) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the fields of every camera, and their names, which may be missing.
+def _load(document: Document) -> list[tuple[str, dict[str, Any]]]:
+    """Return the name and the fields of every camera; names may be missing in the file.
 
     Raises FormatError.
     """
     if document.content.startswith(b"MATLAB 7.3"):
-        raise FormatError(
-            document.source, "a .mat file of version 7 or below", "version 7.3", _CAMERA_REMEDY
-        )
-    found = read_mat(
-        document.content,
+        raise document.refuse("a .mat file of version 7 or below", "version 7.3", _CAMERA_REMEDY)
+    found = _read_mat(
+        document,
         ("params", "camnames", *_FIELDS),
-        source=document.source,
         expected="a .mat file of Label3D or DANNCE",
         remedy=_CAMERA_REMEDY,
     )
     if "params" not in found and found.keys() >= set(_FIELDS):
         name = re.fullmatch(_ONE_CAMERA_STEM, document.stem)
-        return [found], [name["camera"] if name else document.stem]
-    return _unpack_cells(found, document.source)
-
-
-def _unpack_cells(found: Mapping[str, Any], source: str) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the fields and the names in the cells `params` and `camnames`.
-
-    Raises FormatError.
-    """
-    cells = found.get("params")
-    structs = [_unpack_cell(cell) for cell in cells] if isinstance(cells, list) else []
+        return [(name["camera"] if name else document.stem, found)]
+    cells, camnames = found.get("params"), found.get("camnames")
+    cells = cells if isinstance(cells, list) else []
+    # a cell is an array of one struct
+    structs = [each[0] if isinstance(each, list) and len(each) == 1 else each for each in cells]
     params = [fields for fields in structs if isinstance(fields, dict)]
-    camnames = found.get("camnames")
     names = [str(name).strip() for name in camnames] if isinstance(camnames, list) else []
     if not params or len(params) < len(structs) or len(names) not in (0, len(params)):
         fields = ", ".join(_FIELDS)
-        raise FormatError(
-            source,
+        raise document.refuse(
             f"cells params, a camera each, and as many camnames; or {fields} of one camera",
             f"{len(params)} and {len(names)}",
             "give the file that has the cameras",
         )
-    return params, names
+    return list(zip(names or [f"Camera{k + 1}" for k in range(len(params))], params, strict=True))
 
 
-def _unpack_cell(cell: Any) -> Any:
-    """Return the struct in a cell, which is an array of one struct."""
-    if isinstance(cell, list) and len(cell) == 1:
-        return cell[0]
-    return cell
-
-
-def _check_fields(fields: Mapping[str, Any], where: str) -> None:
-    """Raise FormatError where a field of a camera is missing."""
-    missing = [key for key in _FIELDS if key not in fields]
-    if missing:
-        expected = f"the fields {', '.join(_FIELDS)}"
-        raise FormatError(where, expected, f"none of {', '.join(missing)}", _CAMERA_REMEDY)
-
-
-def _parse_distortion(fields: Mapping[str, Any], where: str) -> Floats:
+def _read_distortion(fields: Mapping[str, Any], where: str) -> Floats:
     """Return `[4 | 5]` k1 k2 p1 p2 (k3). Raises FormatError."""
     radial = numbers(fields["RDistort"], "numbers RDistort", where).reshape(-1)
     tangential = numbers(fields["TDistort"], "numbers TDistort", where).reshape(-1)
     if len(radial) not in (2, 3) or len(tangential) != 2:
         found = f"{len(radial)} and {len(tangential)}"
-        raise FormatError(where, "2 or 3 RDistort and 2 TDistort", found, "mend the distortion")
+        raise FormatError(where, "2 or 3 RDistort and 2 TDistort", found, "correct the distortion")
     return np.concatenate([radial[:2], tangential, radial[2:]])
-
-
-def _has_noise_skew(matrix: Floats) -> bool:
-    """Return whether a camera matrix has a skew so small that it is noise."""
-    if matrix.shape != (3, 3):
-        return False
-    return bool(0 < abs(matrix[0, 1]) < _MOST_SKEW * abs(matrix[0, 0]))
-
-
-def _remove_skew(matrix: Floats) -> Floats:
-    """Return a `[3, 3]` camera matrix without its skew."""
-    plain = matrix.copy()
-    plain[0, 1] = 0.0
-    return plain
-
-
-def _describe_skew(matrix: Floats, name: str) -> str:
-    """Return what the skew that is left out does at the edge of the image."""
-    moved = f"{skew_in_pixels(matrix):.1f} pixels at the edge of the image"
-    return f"camera {name}: the skew {matrix[0, 1]:.2f} is left out, which is up to {moved}"
 
 
 # --- cameras: writing
@@ -260,33 +201,80 @@ def write_cameras(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write one file of all cameras. Raises MismatchError."""
     from scipy.io import savemat  # noqa: PLC0415 - half of the time that all formats take to import
 
+    lost = check_rig(rig, provenance, "dannce", terms=5, sizes="lost", verdict=False)
     params = np.empty((len(rig.cameras), 1), dtype=object)
     names = np.empty((1, len(rig.cameras)), dtype=object)
     for view, camera in enumerate(rig.cameras):
-        params[view, 0] = _fields(camera, rig.rotation[view], rig.translation[view])
+        k1, k2, p1, p2, k3 = lens_terms(camera, 5)
+        params[view, 0] = {  # for row vectors
+            "K": camera.matrix.T.copy(),
+            "RDistort": np.array([[k1, k2, k3]]),
+            "TDistort": np.array([[p1, p2]]),
+            "r": rig.rotation[view].T.copy(),
+            "t": rig.translation[view][None].copy(),
+        }
         names[0, view] = camera.name
     file = io.BytesIO()
     savemat(cast(Any, file), {"params": params, "camnames": names})
     header = b"MATLAB 5.0 MAT-file".ljust(115)
     content = re.sub(_HEADER, header, file.getvalue(), flags=re.S)  # the same rig, the same bytes
-    return Written(
-        {"label3d_dannce.mat": content}, (*without_sizes(rig), *without_verdict(provenance))
+    return Written({"label3d_dannce.mat": content}, lost)
+
+
+# --- variables of MATLAB files (up to version 7), read by scipy behind the crash guard
+
+
+def _read_mat(
+    document: Document, wanted: tuple[str, ...], *, expected: str, remedy: str
+) -> dict[str, Any]:
+    """Return the variables of these names.
+
+    They are arrays, text, lists for cells, and lists of dictionaries for structs (both in MATLAB's
+    order); None for functions and objects.
+
+    expected, remedy: of the FormatError that is raised where the file is cut or damaged.
+    """
+    return guard(
+        _load_mat,
+        document.content,
+        wanted,
+        document.source,
+        expected,
+        remedy,
+        what="MATLAB file",
+        library="scipy",
+        source=document.source,
+        size=len(document.content),
+        packed=False,
     )
 
 
-def _fields(camera: Camera, rotation: Floats, translation: Floats) -> dict[str, Floats]:
-    """Return the struct of a camera, for row vectors. Raises MismatchError.
+def _load_mat(
+    content: bytes, wanted: tuple[str, ...], source: str, expected: str, remedy: str
+) -> dict[str, Any]:
+    """Read the variables in the process that is for it."""
+    from scipy.io import loadmat  # noqa: PLC0415 - takes 0.2 s
 
-    rotation: `[3, 3]` and translation: `[3]` of cam_from_world.
-    """
-    k1, k2, p1, p2, k3 = terms(camera, 5, "dannce").tolist()
-    return {
-        "K": camera.matrix.T.copy(),
-        "RDistort": np.array([[k1, k2, k3]]),
-        "TDistort": np.array([[p1, p2]]),
-        "r": rotation.T.copy(),
-        "t": translation[None].copy(),
-    }
+    try:
+        found = loadmat(cast(Any, io.BytesIO(content)), variable_names=wanted)
+        return {name: _simplify(found[name]) for name in wanted if name in found}
+    except MemoryError:
+        raise
+    except Exception as error:  # scipy raises whatever damage leads to
+        reason = f"an error ({one_line(error) or type(error).__name__})"
+        raise FormatError(source, expected, reason, remedy) from None
+
+
+def _simplify(value: Any) -> Any:
+    """Return lists, dictionaries and text for what scipy makes arrays of objects of."""
+    if not isinstance(value, np.ndarray):
+        return None
+    if value.dtype.names:
+        structs = value.ravel(order="F")
+        return [{name: _simplify(each[name]) for name in value.dtype.names} for each in structs]
+    if value.dtype.kind == "O":
+        return [_simplify(each) for each in value.ravel(order="F")]
+    return "".join(value.ravel().tolist()) if value.dtype.kind == "U" else value
 
 
 KEYPOINTS = Format(

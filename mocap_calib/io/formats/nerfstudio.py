@@ -2,158 +2,135 @@
 
 * transform_matrix is camera_to_world in OpenGL's axes: x right, y up, z back.
 * Pixels have their corners at integers, so that cx and cy are half a pixel more than ours.
-* What a frame does not say (intrinsics, camera model) stands at the top and holds for all.
-* There is no unit of length; `unit` at the top says ours.
+* What a frame does not state (intrinsics, camera model) stands at the top and holds for all.
+* There is no unit of length; `unit` at the top states ours.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 
 from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import FormatError
-from mocap_calib.io.camera_checks import make_camera, make_extrinsics, numbers
+from mocap_calib.io.camera_checks import make_extrinsics, numbers
 from mocap_calib.io.cameras import (
     CameraFile,
-    Extrinsics,
-    PlacedCamera,
+    RawCamera,
     camera_of_image,
+    check_rig,
     collect_cameras,
     entries,
-    has_json_item,
-    need_sizes,
+    has_json_entry,
+    lens_terms,
     pinhole_matrix,
-    terms,
     to_json,
+    typed,
 )
-from mocap_calib.io.document import Document, need
+from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format, Written
-from mocap_calib.io.provenance import plain_fields, read_judgement
-from mocap_calib.types import Camera, CameraRig, Floats
+from mocap_calib.io.provenance import plain_fields
+from mocap_calib.types import CameraRig
 
 _OPENGL_AXES = np.array([1.0, -1.0, -1.0])
-# camera model -> whether it is a fisheye's
-_MODELS = {"OPENCV": False, "PINHOLE": False, "SIMPLE_PINHOLE": False, "OPENCV_FISHEYE": True}
 _PINHOLE_TERMS = ("k1", "k2", "p1", "p2", "k3")
 _FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
 _FOLDER = "images/"
 
 
+class _Frame(msgspec.Struct):
+    fl_x: float
+    cx: float
+    cy: float
+    transform_matrix: Any
+    file_path: str = ""
+    fl_y: float | None = None
+    w: Any = None
+    h: Any = None
+    camera_model: Literal["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV_FISHEYE"] = "OPENCV"
+    k1: Any = 0.0
+    k2: Any = 0.0
+    k3: Any = 0.0
+    k4: Any = 0.0
+    p1: Any = 0.0
+    p2: Any = 0.0
+
+
 def sniff(document: Document) -> bool:
     """Return whether there are frames with a transform_matrix."""
-    return has_json_item(document, "frames", "transform_matrix")
+    return document.has("json", "frames") and has_json_entry(document, "transform_matrix")
 
 
-# --- reading
-
-
-def parse(document: Document) -> CameraFile:
+def read(document: Document) -> CameraFile:
     """Read the frames as cameras, called after their images. Raises FormatError."""
-    data = document.mapping("frames")
-    shared = {key: value for key, value in data.items() if key != "frames"}
-    placed: list[PlacedCamera] = []
-    for number, frame in entries(data["frames"], "a list of frames", document.source):
-        where = f"{document.source}: frame {number}"
-        fields = shared | frame
-        path = str(fields.get("file_path", number)).removeprefix("./").removeprefix(_FOLDER)
-        camera = _parse_camera(camera_of_image(path), fields, where)
-        placed.append((camera, _parse_extrinsics(fields, where)))
-    found = collect_cameras(placed, document.source, unit=str(data.get("unit", "")))
-    return replace(found, judgement=read_judgement(data.get("provenance")))
+    shared = dict(document.mapping("frames"))
+    frames = entries(dict[str, Any], shared.pop("frames"), document.source, "a list of frames")
+    raws = [
+        _read_frame(shared | {"file_path": number} | frame, f"{document.source}: frame {number}")
+        for number, frame in frames
+    ]
+    unit, provenance = shared.get("unit", ""), shared.get("provenance")
+    return collect_cameras(raws, document.source, unit=unit, provenance=provenance)
 
 
-def _parse_camera(name: str, fields: Mapping[str, Any], where: str) -> Camera:
-    """Return the camera of a frame without its place. Raises FormatError."""
-    model = str(fields.get("camera_model", "OPENCV"))
-    if model not in _MODELS:
-        expected = f"a camera_model of {', '.join(_MODELS)}"
-        raise FormatError(where, expected, model, "export with one of them")
-    need(fields, ("fl_x", "cx", "cy"), where)
-    fisheye = _MODELS[model]
-    fx, fy, cx, cy = _parse_pinhole(fields, where)
-    if not fisheye and fields.get("k4", 0) != 0:
+def _read_frame(fields: Mapping[str, Any], where: str) -> RawCamera:
+    """Return the camera of a frame. Raises FormatError."""
+    frame = typed(_Frame, fields, where, "a frame of nerfstudio")
+    fisheye = frame.camera_model == "OPENCV_FISHEYE"
+    if not fisheye and frame.k4 != 0:
         expected = "k1, k2, k3, p1, p2 of OpenCV's model"
         raise FormatError(where, expected, "a k4", "calibrate without it")
-    terms_of_model = _FISHEYE_TERMS if fisheye else _PINHOLE_TERMS
-    return make_camera(
-        name=name,
-        size=[fields["w"], fields["h"]] if {"w", "h"} <= fields.keys() else None,
-        matrix=pinhole_matrix(fx, fy, cx - CORNER_OFFSET, cy - CORNER_OFFSET),
-        distortion=[fields.get(key, 0.0) for key in terms_of_model],
-        fisheye=fisheye,
-        source=where,
-    )
-
-
-def _parse_pinhole(fields: Mapping[str, Any], where: str) -> list[float]:
-    """Return fx, fy, cx, cy; zeros, which no camera matrix has, where one is no single number.
-
-    Raises FormatError.
-    """
-    fl_y = fields.get("fl_y", fields["fl_x"])
-    given = [fields["fl_x"], fl_y, fields["cx"], fields["cy"]]
-    values = numbers(given, "numbers fl_x, fl_y, cx, cy", where)
-    return values.tolist() if values.shape == (4,) else [0.0] * 4
-
-
-def _parse_extrinsics(fields: Mapping[str, Any], where: str) -> Extrinsics:
-    """Return the extrinsics of a frame. Raises FormatError."""
-    need(fields, ("transform_matrix",), where)
-    matrix = numbers(fields["transform_matrix"], "a 4 x 4 transform_matrix", where)
+    matrix = numbers(frame.transform_matrix, "a 4 x 4 transform_matrix", where)
     if matrix.shape not in ((4, 4), (3, 4)):
-        raise FormatError(where, "a 4 x 4 transform_matrix", f"shape {matrix.shape}", "mend it")
+        raise FormatError(where, "a 4 x 4 transform_matrix", f"shape {matrix.shape}", "correct it")
     # world_from_cam: its translation is the camera's centre
     rotation, centre = make_extrinsics(matrix[:3, :3] * _OPENGL_AXES, matrix[:3, 3], where)
-    return rotation.T, -rotation.T @ centre
-
-
-# --- writing
+    return RawCamera(
+        name=camera_of_image(frame.file_path.removeprefix("./").removeprefix(_FOLDER)),
+        size=None if frame.w is None or frame.h is None else [frame.w, frame.h],
+        matrix=pinhole_matrix(
+            frame.fl_x,
+            frame.fl_x if frame.fl_y is None else frame.fl_y,
+            frame.cx - CORNER_OFFSET,
+            frame.cy - CORNER_OFFSET,
+        ),
+        distortion=[getattr(frame, k) for k in (_FISHEYE_TERMS if fisheye else _PINHOLE_TERMS)],
+        fisheye=fisheye,
+        rotation=rotation.T,
+        centre=centre,
+    )
 
 
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write one frame a camera; its image is called images/NAME.png. Raises MismatchError."""
-    need_sizes(rig, "nerfstudio")
-    frames = [
-        _frame(camera, rotation=rig.rotation[view], centre=rig.centres[view])
-        for view, camera in enumerate(rig.cameras)
-    ]
+    lost = check_rig(rig, provenance, "nerfstudio", terms=5, fisheye=True, sizes="needed")
+    frames = []
+    for view, camera in enumerate(rig.cameras):
+        keys = _FISHEYE_TERMS if camera.fisheye else _PINHOLE_TERMS
+        (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
+        width, height = camera.size
+        world_from_cam = np.eye(4)
+        world_from_cam[:3, :3] = rig.rotation[view].T * _OPENGL_AXES
+        world_from_cam[:3, 3] = rig.centres[view]
+        frames.append(
+            {
+                "file_path": f"{_FOLDER}{camera.name}.png",
+                "camera_model": "OPENCV_FISHEYE" if camera.fisheye else "OPENCV",
+                **{"fl_x": fx, "fl_y": fy},
+                **{"cx": cx + CORNER_OFFSET, "cy": cy + CORNER_OFFSET},
+                **{"w": width, "h": height},
+                **dict(zip(keys, lens_terms(camera, len(keys)), strict=True)),
+                "transform_matrix": world_from_cam.tolist(),
+            }
+        )
     document = {
         "camera_model": frames[0]["camera_model"],
         "unit": rig.unit,
         "provenance": plain_fields(provenance),
         "frames": frames,
     }
-    return Written({"transforms.json": to_json(document)})
-
-
-def _frame(camera: Camera, *, rotation: Floats, centre: Floats) -> dict[str, Any]:
-    """Return the fields of a frame. Raises MismatchError.
-
-    rotation: `[3, 3]` of cam_from_world. centre: `[3]` in world coordinates.
-    """
-    if camera.fisheye:
-        lens = dict(zip(_FISHEYE_TERMS, camera.distortion.tolist(), strict=True))
-    else:
-        lens = dict(zip(_PINHOLE_TERMS, terms(camera, 5, "nerfstudio").tolist(), strict=True))
-    (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
-    width, height = camera.size
-    world_from_cam = np.eye(4)
-    world_from_cam[:3, :3] = rotation.T * _OPENGL_AXES
-    world_from_cam[:3, 3] = centre
-    return {
-        "file_path": f"{_FOLDER}{camera.name}.png",
-        "camera_model": "OPENCV_FISHEYE" if camera.fisheye else "OPENCV",
-        "fl_x": fx,
-        "fl_y": fy,
-        "cx": cx + CORNER_OFFSET,
-        "cy": cy + CORNER_OFFSET,
-        "w": width,
-        "h": height,
-        **lens,
-        "transform_matrix": world_from_cam.tolist(),
-    }
+    return Written({"transforms.json": to_json(document)}, lost)
 
 
 FORMAT = Format(
@@ -161,6 +138,6 @@ FORMAT = Format(
     name="nerfstudio",
     title="nerfstudio transforms.json",
     sniff=sniff,
-    read=parse,
+    read=read,
     write=write,
 )

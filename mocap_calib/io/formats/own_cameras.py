@@ -7,40 +7,103 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any, Literal
 
-import numpy as np
+import msgspec
 import yaml
 
-from mocap_calib.errors import FormatError
 from mocap_calib.geometry.rotation import rig_size
-from mocap_calib.io.camera_checks import describe_keys, make_camera, numbers
-from mocap_calib.io.cameras import (
-    CameraFile,
-    PlacedCamera,
-    collect_cameras,
-    extrinsics_if_given,
-    unique,
-)
+from mocap_calib.io.cameras import CameraFile, RawCamera, collect_cameras, typed
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields, read_judgement, round_sigma
 from mocap_calib.io.world_fields import read_world, stated_world
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.types import (
-    ARBITRARY,
-    Camera,
-    CameraClock,
-    CameraRig,
-    ClockKind,
-    EstimatedCamera,
-)
+from mocap_calib.types import ARBITRARY, Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
 
 VERSION = 1
-_MODELS = ("opencv", "fisheye", "pinhole")
 SUBFRAME = "clock_subframe_offset"  # of a camera: the part of a frame that comes to its offset
 CONVENTION = "x_camera = R x_world + t; x right, y down, z forward; pixel centres are integers"
 _NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spaces
+_FORMAT = r"^format: *[\"']?mocap-calib cameras"
+_EXPECTED = "a camera with name, size, model, K, distortion"
+_Sigma = Annotated[float, msgspec.Meta(ge=0, le=1e300)]
+
+
+class _Estimated(msgspec.Struct, forbid_unknown_fields=True):
+    focal_sigma: _Sigma
+    k1_sigma: _Sigma
+
+
+class _Camera(msgspec.Struct):
+    name: Any
+    K: Any
+    size: Any = None
+    model: Literal["opencv", "fisheye", "pinhole"] = "opencv"
+    distortion: Any = None
+    estimated: _Estimated | msgspec.UnsetType = msgspec.UNSET
+    R: Any = None
+    t: Any = None
+    clock_offset_frames: Any = None
+    clock_rate: Any = 1.0
+
+    def raw(self) -> RawCamera:
+        """Return the camera unchecked; the model `pinhole` has no distortion."""
+        return RawCamera(
+            name=str(self.name),
+            size=self.size,
+            matrix=self.K,
+            distortion=None if self.model == "pinhole" else self.distortion,
+            fisheye=self.model == "fisheye",
+            rotation=self.R,
+            translation=self.t,
+        )
+
+    def mark(self, camera: Camera) -> Camera:
+        """Return the camera with its uncertainties, where it was estimated from a recording."""
+        if self.estimated is msgspec.UNSET:
+            return camera
+        return EstimatedCamera.of(camera, **msgspec.structs.asdict(self.estimated))
+
+
+class _File(msgspec.Struct):
+    version: Literal[1]
+    cameras: list[_Camera]
+    unit: Any = ""
+    provenance: Any = None
+    world: Any = None
+
+
+def sniff(document: Document) -> bool:
+    """Return whether the first field states that it is ours."""
+    return document.syntax == "yaml" and re.search(_FORMAT, document.text, re.M) is not None
+
+
+def read(document: Document) -> CameraFile:
+    """Read the cameras. Raises FormatError."""
+    expected = f"cameras of version {VERSION} with name, size, model, K, distortion"
+    file = typed(_File, document.mapping(), document.source, expected)
+    found = collect_cameras(
+        (each.raw() for each in file.cameras),
+        document.source,
+        unit=file.unit,
+        provenance=file.provenance,
+    )
+    pairs = list(zip(file.cameras, found.cameras, strict=True))
+    clocks = (_read_clock(fields, camera.name) for fields, camera in pairs)
+    return replace(
+        found,
+        cameras=tuple(fields.mark(camera) for fields, camera in pairs),
+        clocks=tuple(clock for clock in clocks if clock is not None),
+        world=read_world(file.world),
+    )
+
+
+def camera_from_fields(fields: Any, source: str) -> Camera:
+    """Return the camera that `camera_fields` wrote. Raises FormatError."""
+    read = typed(_Camera, fields, source, _EXPECTED)
+    camera, _ = read.raw().check(source)
+    return read.mark(camera)
 
 
 def camera_fields(camera: Camera) -> dict[str, Any]:
@@ -63,46 +126,16 @@ def estimated_fields(camera: EstimatedCamera) -> dict[str, float]:
     return {"focal_sigma": camera.focal_sigma, "k1_sigma": camera.k1_sigma}
 
 
-def camera_from_fields(fields: Any, source: str) -> Camera:
-    """Return the camera of `camera_fields`; the model `pinhole` has no distortion."""
-    if not isinstance(fields, dict) or not {"name", "K"} <= fields.keys():
-        expected = "cameras with name, size, model, K, distortion"
-        raise FormatError(source, expected, describe_keys(fields), "write the file again")
-    name = str(fields["name"])
-    where = f"{source}: camera {name}"
-    model = fields.get("model", "opencv")
-    if model not in _MODELS:
-        raise FormatError(
-            where, "the model opencv, fisheye or pinhole", model, "convert the camera"
-        )
-    camera = make_camera(
-        name=name,
-        size=fields.get("size"),
-        matrix=fields["K"],
-        distortion=[] if model == "pinhole" else fields.get("distortion", []),
-        fisheye=model == "fisheye",
-        source=where,
-    )
-    return _mark_estimated(camera, fields["estimated"], where) if "estimated" in fields else camera
-
-
-def _mark_estimated(camera: Camera, fields: Any, source: str) -> EstimatedCamera:
-    """Return a camera with the fields of `estimated_fields`. Raises FormatError."""
-    expected = "estimated: focal_sigma and k1_sigma of 0 or more"
-    if not isinstance(fields, dict) or fields.keys() != {"focal_sigma", "k1_sigma"}:
-        raise FormatError(source, expected, describe_keys(fields), "write the file again")
-    sigma = numbers([fields["focal_sigma"], fields["k1_sigma"]], expected, source)
-    if sigma.shape != (2,) or not np.isfinite(sigma).all() or (sigma < 0).any():
-        raise FormatError(source, expected, sigma.tolist(), "write the file again")
-    return EstimatedCamera.of(camera, focal_sigma=float(sigma[0]), k1_sigma=float(sigma[1]))
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
+    """Write the file, which carries all."""
+    return Written({"cameras.yaml": format_cameras_yaml(rig, provenance).encode()})
 
 
 def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
     """Return our own file: plain YAML, lengths in the rig's unit.
 
-    provenance: whatever says how the rig came about. What its field clock_subframe_offset says by
-        the names of cameras is written beside each, and what its field centre_sigma_percent says
-        as a length.
+    provenance: whatever states how the rig came about. Its field clock_subframe_offset, by the
+        names of cameras, is written beside each, and its field centre_sigma_percent as a length.
     """
     offsets = provenance.get(SUBFRAME, {})
     lengths = _centre_sigmas(rig, provenance)
@@ -125,7 +158,7 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
         if camera.name in lengths:
             extrinsics["centre_sigma"] = lengths[camera.name]
         part = {SUBFRAME: offsets[camera.name]} if camera.name in offsets else {}
-        cameras.append(camera_fields(camera) | extrinsics | clock_fields(rig, camera.name) | part)
+        cameras.append(camera_fields(camera) | extrinsics | _clock_fields(rig, camera.name) | part)
     # flow style (None) puts the rows of a matrix on a line each
     return _dump_yaml(header, flow=False) + _dump_yaml({"cameras": cameras}, flow=None)
 
@@ -144,7 +177,7 @@ def _centre_sigmas(rig: CameraRig, provenance: Mapping[str, Any]) -> dict[str, f
     return {name: round_sigma(value / 100 * size) for name, value in percent.items()}
 
 
-def clock_fields(rig: CameraRig, camera: str) -> dict[str, Any]:
+def _clock_fields(rig: CameraRig, camera: str) -> dict[str, Any]:
     """Return what is written of the clock of a camera, nothing where it is that of the others."""
     clock = next((each for each in rig.clocks if each.camera == camera), None)
     if clock is None or not clock.differs:
@@ -155,23 +188,20 @@ def clock_fields(rig: CameraRig, camera: str) -> dict[str, Any]:
     return {"clock_offset_frames": table, "clock_rate": float(clock.rate)}
 
 
-def read_clock(fields: Mapping[str, Any], camera: str) -> CameraClock | None:
-    """Return the clock that `clock_fields` wrote, None where there is none or it makes no sense."""
-    offset, rate = fields.get("clock_offset_frames"), fields.get("clock_rate", 1.0)
+def _read_clock(fields: _Camera, camera: str) -> CameraClock | None:
+    """Return the clock that `_clock_fields` wrote, None where there is none that makes sense."""
+    offset, rate = fields.clock_offset_frames, fields.clock_rate
     if type(offset) is int:
         return CameraClock(camera, "clock", offset)
-    if not isinstance(offset, list) or not offset or not _is_positive(rate):
+    if not isinstance(offset, list) or not offset:
+        return None
+    if type(rate) not in (int, float) or not 0 < rate < float("inf"):
         return None
     if not all(isinstance(row, list) and list(map(type, row)) == [int, int] for row in offset):
         return None
     kind: ClockKind = "dropped" if rate == 1.0 else "rate"
     table = tuple((row[0], row[1]) for row in offset)
     return CameraClock(camera, kind, table[0][1], float(rate), table)
-
-
-def _is_positive(value: Any) -> bool:
-    """Return whether a value that was read is a number above 0."""
-    return type(value) in (int, float) and 0 < value < float("inf")
 
 
 def _dump_yaml(fields: Mapping[str, Any], *, flow: bool | None) -> str:
@@ -186,55 +216,12 @@ def _dump_yaml(fields: Mapping[str, Any], *, flow: bool | None) -> str:
     )
 
 
-_FORMAT = r"^format: *[\"']?mocap-calib cameras"
-
-
-def sniff(document: Document) -> bool:
-    """Return whether the first field says that it is ours."""
-    return document.syntax == "yaml" and re.search(_FORMAT, document.text, re.M) is not None
-
-
-def parse(document: Document) -> CameraFile:
-    """Read the cameras. Raises FormatError."""
-    data = document.mapping()
-    if data.get("version") != VERSION:
-        expected = f"version {VERSION} of our cameras"
-        found = f"version {data.get('version')}"
-        raise FormatError(document.source, expected, found, "use the program that wrote it")
-    entries = data.get("cameras")
-    if not isinstance(entries, list) or not entries:
-        found = describe_keys(entries)
-        raise FormatError(document.source, "a list of cameras", found, "write the file again")
-    cameras = unique(
-        (camera_from_fields(each, document.source) for each in entries), document.source
-    )
-    placed: list[PlacedCamera] = []
-    for camera, fields in zip(cameras, entries, strict=True):
-        where = f"{document.source}: camera {camera.name}"
-        placed.append((camera, extrinsics_if_given(fields, where)))
-    file = collect_cameras(placed, document.source, unit=str(data.get("unit", "")))
-    clocks = (
-        read_clock(fields, camera.name) for camera, fields in zip(cameras, entries, strict=True)
-    )
-    return replace(
-        file,
-        judgement=read_judgement(data.get("provenance")),
-        clocks=tuple(clock for clock in clocks if clock is not None),
-        world=read_world(data.get("world")),
-    )
-
-
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
-    """Write the file, which carries all."""
-    return Written({"cameras.yaml": format_cameras_yaml(rig, provenance).encode()})
-
-
 FORMAT = Format(
     kind="cameras",
     name="mocap-calib",
     title="mocap-calib cameras.yaml",
     sniff=sniff,
-    read=parse,
+    read=read,
     write=write,
     endings=(".yaml", ".yml"),
 )
