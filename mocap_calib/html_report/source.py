@@ -9,6 +9,8 @@ import numpy as np
 from mocap_calib.results import GroupResult, Matches, Poses3D
 from mocap_calib.types import CameraRig, Floats, Record, Recording
 
+MOST_KEYPOINTS = 1_000_000  # that are looked at for errors or for series
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Seen(Record):

@@ -22,25 +22,23 @@ def describe_rig(source: ReportSource) -> dict[str, Any]:
         for view in views
     }
     epochs = list_epochs(rig.names, source.poses.frames)
-    cameras = []
-    for view, camera in enumerate(rig):
-        holding = [epoch for epoch in epochs if view in epoch.views]
-        cameras.append(
-            {
-                **_describe_camera(camera),
-                "camera": camera_of[view],
-                "first": min((epoch.first for epoch in holding), default=0),
-                "last": max((epoch.last for epoch in holding), default=0),
-                "covariance": _flat_if_known(source.covariance[view]),
-            }
-        )
+    holding = [[epoch for epoch in epochs if view in epoch.views] for view in range(len(rig))]
     return {
         "unit": rig.unit,
         "up": _flat_if_known(rig.world.up),
         "floor": _flat_if_known(rig.world.floor),
         "size": rig_size(rig),
         "covariance": "axes" if source.directed else "spheres",
-        "cameras": cameras,
+        "cameras": [
+            {
+                **_describe_camera(camera),
+                "camera": camera_of[view],
+                "first": min((epoch.first for epoch in holding[view]), default=0),
+                "last": max((epoch.last for epoch in holding[view]), default=0),
+                "covariance": _flat_if_known(source.covariance[view]),
+            }
+            for view, camera in enumerate(rig)
+        ],
     }
 
 
