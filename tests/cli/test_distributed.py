@@ -17,6 +17,8 @@ from conftest import TOOL
 from platforms import posix
 from test_batch import contents
 
+import mocap_calib as mc
+
 pytestmark = posix  # processes are stopped, killed and waited for
 
 DASK = Path(sys.executable).with_name("dask")
@@ -115,12 +117,12 @@ def test_pairs_of_a_rig_survive_a_worker_and_the_end_of_the_scheduler_is_one_lin
     tool("simulate", "-o", made, "--cameras", 6, "--people", 2, "--frames", 30)
     command = ["run", made / "keypoints", "--cameras", made / "intrinsics.toml", "-o"]
     with machines.killing():
-        said = tool(*command, tmp_path / "there", "--scheduler", machines.address)
+        said = tool(*command, tmp_path / "there" / "out", "--scheduler", machines.address)
     assert said.returncode == 0, said.stderr
     assert "2 at a time by the workers of tcp://127.0.0.1" in said.stderr
     assert "Traceback" not in said.stderr
-    assert tool(*command, tmp_path / "here", "-q").returncode == 0
-    assert contents(tmp_path / "there") == contents(tmp_path / "here")
+    assert tool(*command, tmp_path / "here" / "out", "-q").returncode == 0
+    assert contents(tmp_path / "there" / "out") == contents(tmp_path / "here" / "out")
     # the worker that is left has another such run when the scheduler goes
     out = tmp_path / "out"
     process = subprocess.Popen(
@@ -205,15 +207,18 @@ if __name__ == "__main__":
     with here, cluster(here.scheduler_address) as workers:
         print(sorted((item, outcome(result)) for item, result in workers.completed(_exit, [1])))
         print(sorted((item, outcome(result)) for item, result in workers.completed(abs, [-2, -3])))
-    module.identify_program = lambda: "of another version"  # workers do not unpack what it sends
-    with here, cluster(here.scheduler_address) as workers:
+        module.identify_program = lambda: "of other code"  # workers do not unpack what it sends
         print([outcome(result) for _, result in workers.completed(abs, [-2])])
 """
     said = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.splitlines()
+    found = said[-1].partition("found ")[2].partition(";")[0]
+    assert found.startswith(mc.__version__)
     assert said == [
         "[(1, 'expected workers that survive the work, found 4 killed by the same piece; "
         "give them more memory')]",
         "[(-3, 3), (-2, 2)]",
+        f"['expected mocap-calib of other code on every worker, found {found}; install the same "
+        "there']",
     ]
