@@ -14,7 +14,7 @@ from mocap_calib.front import from_keypoints
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
 from mocap_calib.io.camera_files import read_cameras, read_rig
-from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints import read_keypoints
 from mocap_calib.synthetic import LAYOUTS, Scene, detect, keypoint_files, simulate
 from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D, Recording

@@ -24,7 +24,7 @@ from poses_of_arrays import names_of, read_clip
 
 from mocap_calib.errors import MismatchError, MocapCalibError
 from mocap_calib.io.camera_files import read_rig
-from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints import read_keypoints
 from mocap_calib.io.results.scene import write_scene
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 

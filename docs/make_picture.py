@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.io.camera_files import read_rig
-from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints import read_keypoints
 from mocap_calib.io.pose_files import load_poses
 from mocap_calib.notebook.colours import COLOURS
 from mocap_calib.types import CameraRig, Floats, Keypoints2D, Poses3D

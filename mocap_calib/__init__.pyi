@@ -16,9 +16,9 @@ if TYPE_CHECKING:  # or mypy checks the whole package as one circle
     from mocap_calib.front import write as write
     from mocap_calib.io.camera_files import read_cameras as read_cameras
     from mocap_calib.io.camera_files import read_rig as read_rig
-    from mocap_calib.io.keypoints.options import ReadOptions as ReadOptions
-    from mocap_calib.io.keypoints.read import read_keypoints as read_keypoints
+    from mocap_calib.io.keypoints import read_keypoints as read_keypoints
     from mocap_calib.io.pose_files import read_poses as read_poses
+    from mocap_calib.io.read_options import ReadOptions as ReadOptions
     from mocap_calib.pipeline import calibrate as calibrate
     from mocap_calib.recording.corrections import Cropped as Cropped
     from mocap_calib.recording.corrections import Exchanged as Exchanged

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.io.camera_files import read_cameras, read_rig
-from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints import read_keypoints
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording

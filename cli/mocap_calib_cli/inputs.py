@@ -32,8 +32,8 @@ from mocap_calib.io.camera_files import load_cameras, make_rig
 from mocap_calib.io.camera_files import read_rig as read_rig_of
 from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.file import decode
-from mocap_calib.io.keypoints.options import ReadOptions
 from mocap_calib.io.landmarks_csv import read_landmarks
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording

@@ -28,9 +28,7 @@ from mocap_calib.io.format import (
     find_format,
     names_by_ending,
 )
-from mocap_calib.io.keypoints.options import ReadOptions
-from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
+from mocap_calib.io.keypoints import format_keypoints, read_keypoints, write_keypoints
 from mocap_calib.io.kinds import OWN_POSES, Sources
 from mocap_calib.io.pose_axes import turn_up_axis
 from mocap_calib.io.pose_files import (
@@ -41,6 +39,7 @@ from mocap_calib.io.pose_files import (
     write_poses,
 )
 from mocap_calib.io.poses import PoseFile, convert_unit
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.io.units import ARBITRARY, unit_factor
 from mocap_calib.recording.names import check_pixels
 from mocap_calib.types import Keypoints2D

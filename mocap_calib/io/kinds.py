@@ -15,9 +15,7 @@ from mocap_calib.io.format import (
     read_names,
     written_names,
 )
-from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
-from mocap_calib.io.keypoints.items import SUFFIXES
-from mocap_calib.io.keypoints.read import looks_like_keypoints
+from mocap_calib.io.keypoints import KEYPOINT_FORMATS, SUFFIXES, looks_like_keypoints
 from mocap_calib.io.media import check_no_media
 from mocap_calib.io.pose_files import POSE_FORMATS, looks_like_poses
 

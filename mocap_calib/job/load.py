@@ -9,10 +9,9 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.io.cameras import CameraFile
-from mocap_calib.io.keypoints.filled_table import describe_filled
-from mocap_calib.io.keypoints.items import find_superseded_files
-from mocap_calib.io.keypoints.options import ReadOptions
-from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.filled_table import describe_filled
+from mocap_calib.io.keypoints import find_superseded_files, read_keypoints
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.corrections import apply_mends
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases

@@ -430,7 +430,7 @@ PER_FRAME = {
     "25 points": Case(of_program("openpose", 25), "body_25 or body_25b", paths="cam={}/0.json"),
     "17 points": Case(of_program("openpose", 17), "coco_17 or h36m_17", paths="cam={}/0.json"),
     "2 numbers": Case(people([[1.0, 2.0]]), "found 2 numbers", LAYOUT),
-    "no list": Case(people([{"x": 1}]), "found dict", LAYOUT),
+    "no list": Case(people([{"x": 1}]), "found an object", LAYOUT),
     "literals that are no numbers": Case(
         text(
             b"\xef\xbb\xbf"

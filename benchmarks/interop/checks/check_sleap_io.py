@@ -15,7 +15,7 @@ sys.path.append(
     str(Path(__file__).parents[3])
 )  # mocap_calib's readers need no more than what is installed here
 
-from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints import read_keypoints
 
 ORDERS = {
     "matlab": {"preset": "matlab"},

@@ -33,8 +33,8 @@ def command(typed: Typed) -> None:
       mocap-calib complete keypoints/ --cameras intrinsics.toml -o completed
     """
     from mocap_calib.errors import count, describe_lost
-    from mocap_calib.io.keypoints.filled_table import FILLED_TABLE, format_filled_table
-    from mocap_calib.io.keypoints.write import find_written_format, write_keypoints
+    from mocap_calib.io.filled_table import FILLED_TABLE, format_filled_table
+    from mocap_calib.io.keypoints import find_written_format, write_keypoints
     from mocap_calib.lift import complete_sample, find_completed, lift
     from mocap_calib.lift.lifter import load_model, load_vocabulary
     from mocap_calib.recording.sampling import check_known_joints, take_sample

@@ -99,7 +99,7 @@ def command(typed: Typed) -> None:
 def _read_detections(read: Typed) -> "tuple[Keypoints2D, ...]":
     """Return the detections of each camera. Raises FormatError and MismatchError."""
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.keypoints.read import read_keypoints
+    from mocap_calib.io.keypoints import read_keypoints
     from mocap_calib_cli.inputs import read_options
 
     if not read.keypoints:

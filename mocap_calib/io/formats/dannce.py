@@ -21,11 +21,12 @@ from mocap_calib.errors import FormatError, one_line
 from mocap_calib.io.camera_checks import numbers, skew_in_pixels
 from mocap_calib.io.cameras import CameraFile, RawCamera, check_rig, collect_cameras, lens_terms
 from mocap_calib.io.crash_guard import guard
+from mocap_calib.io.detections import NO_SCORE, blank, make_view
 from mocap_calib.io.document import Document, need
-from mocap_calib.io.file import NO_SCORE, Origin, blank, make_view
+from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format, Written
-from mocap_calib.io.keypoints.layouts import choose_layout
-from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.layouts import choose_layout
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 _REMEDY = "save it from Label3D again, for MATLAB 7 (not 7.3)"

@@ -26,12 +26,21 @@ import msgspec
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.detections import (
+    NO_SCORE,
+    SCORES,
+    SIZES,
+    check_size,
+    frame_number,
+    is_list_of,
+    make_view,
+    typed,
+    view_of_frames,
+)
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import NO_SCORE, Origin, check_size, frame_number, make_view
+from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format
-from mocap_calib.io.keypoints.losses import SCORES, SIZES
-from mocap_calib.io.keypoints.options import ReadOptions
-from mocap_calib.io.keypoints.per_frame import is_list_of, typed, view_of_frames
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.io.table import read_header, read_table
 from mocap_calib.types import Floats, Ints, Keypoints2D
 

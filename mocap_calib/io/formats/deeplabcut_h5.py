@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.io.detections import SCORES, SIZES
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
 from mocap_calib.io.formats.deeplabcut import (
@@ -27,8 +28,7 @@ from mocap_calib.io.formats.deeplabcut import (
     view_of_table,
 )
 from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters, text
-from mocap_calib.io.keypoints.losses import SCORES, SIZES
-from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
 _CSV_INSTEAD = "use the .csv that DeepLabCut writes next to it"

@@ -11,17 +11,12 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.detections import blank, fill_missing_scores, make_view
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import (
-    LARGEST_EXACT_FLOAT,
-    Origin,
-    blank,
-    fill_missing_scores,
-    make_view,
-)
+from mocap_calib.io.file import LARGEST_EXACT_FLOAT, Origin
 from mocap_calib.io.format import Format
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
-from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "write it with ndx-pose again"

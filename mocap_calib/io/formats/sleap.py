@@ -22,13 +22,20 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.detections import (
+    ABSENT_FRAMES,
+    GAPS,
+    SCORES,
+    SIZES,
+    blank,
+    fill_missing_scores,
+    make_view,
+)
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import ABSENT_FRAMES, blank, fill_missing_scores, make_view
 from mocap_calib.io.format import Format
 from mocap_calib.io.formats.tables import Points, views_from_points
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
-from mocap_calib.io.keypoints.losses import GAPS, SCORES, SIZES
-from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.io.table import read_table
 from mocap_calib.types import Floats, Keypoints2D
 

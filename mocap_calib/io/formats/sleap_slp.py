@@ -14,47 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import FormatError, argument
+from mocap_calib.errors import argument
+from mocap_calib.io.detections import blank, fill_missing_scores, find_camera, make_view
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import (
-    Origin,
-    blank,
-    fill_missing_scores,
-    find_camera,
-    make_view,
-)
+from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format
 from mocap_calib.io.hdf5 import array, damage_refused, keys, text
-from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
 _REMEDY = "export the analysis .h5 from SLEAP"
 _USER, _PREDICTED = 0, 1  # types of an instance
 _CENTRED_FORMAT = 1.1  # the first in which pixel centres are integers
-
-
-def sniff(document: Document) -> bool:
-    """Return whether the file is HDF5 with SLEAP's tables."""
-    return {"metadata", "frames", "instances", "points", "pred_points"} <= keys(document)
-
-
-def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """Read a camera per video that has labelled frames.
-
-    It is called by the video's name; by the file's where there is but one video.
-    Raises FormatError.
-    """
-    source, file = document.source, document.hdf5
-    with damage_refused(source, "a whole SLEAP project", _REMEDY):
-        tables = _read_tables(file, source)
-        videos = np.unique(tables.frames["video"]).tolist()
-        cameras = _cameras(file, videos, document, options)
-        return tuple(
-            _view(tables, video, Origin(camera, source)) for video, camera in cameras.items()
-        )
-
-
-# Tables
 
 
 @dataclass(frozen=True)
@@ -73,32 +44,47 @@ class _Tables:
     points: dict[int, Floats]
 
 
-def _read_tables(file: Any, source: str) -> _Tables:
-    """Return the tables of an open file. Raises FormatError."""
-    return _Tables(
-        nodes=_nodes(file, source),
-        frames=array(file, "frames", source),
-        instances=array(file, "instances", source),
-        points={
-            _USER: _points(file, "points", source),
-            _PREDICTED: _points(file, "pred_points", source),
-        },
-    )
+def sniff(document: Document) -> bool:
+    """Return whether the file is HDF5 with SLEAP's tables."""
+    return {"metadata", "frames", "instances", "points", "pred_points"} <= keys(document)
 
 
-def _nodes(file: Any, source: str) -> tuple[str, ...]:
+def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Read a camera per video that has labelled frames.
+
+    It is called by the video's name; by the file's where there is but one video.
+    Raises FormatError.
+    """
+    source, file = document.source, document.hdf5
+    with damage_refused(source, "a whole SLEAP project", _REMEDY):
+        tables = _Tables(
+            nodes=_nodes(file, document),
+            frames=array(file, "frames", source),
+            instances=array(file, "instances", source),
+            points={
+                _USER: _points(file, "points", source),
+                _PREDICTED: _points(file, "pred_points", source),
+            },
+        )
+        videos = np.unique(tables.frames["video"]).tolist()
+        if not videos:
+            raise document.refuse("labelled frames", "none", "label or predict first")
+        cameras = _cameras(file, videos, document, options.camera_pattern)
+        return tuple(_view(tables, *each, document) for each in cameras.items())
+
+
+def _nodes(file: Any, document: Document) -> tuple[str, ...]:
     """Return the names of the nodes of the one skeleton, in its order. Raises FormatError."""
     try:
         metadata = json.loads(text(file["metadata"].attrs["json"]))
-        skeletons = metadata["skeletons"]
-        if len(skeletons) != 1:
-            raise FormatError(source, "one skeleton", len(skeletons), _REMEDY)
-        graph = skeletons[0].get("nx_graph", skeletons[0])
-        return tuple(str(metadata["nodes"][node["id"]]["name"]) for node in graph["nodes"])
     except RecursionError:
-        raise FormatError(
-            source, "a skeleton as SLEAP writes it", "JSON nested too deeply", _REMEDY
-        ) from None
+        found = "JSON nested too deeply"
+        raise document.refuse("a skeleton as SLEAP writes it", found, _REMEDY) from None
+    skeletons = metadata["skeletons"]
+    if len(skeletons) != 1:
+        raise document.refuse("one skeleton", len(skeletons), _REMEDY)
+    graph = skeletons[0].get("nx_graph", skeletons[0])
+    return tuple(str(metadata["nodes"][node["id"]]["name"]) for node in graph["nodes"])
 
 
 def _points(file: Any, name: str, source: str) -> Floats:
@@ -116,19 +102,15 @@ def _points(file: Any, name: str, source: str) -> Floats:
     return values
 
 
-# Cameras
+# --- cameras
 
 
-def _cameras(
-    file: Any, videos: list[int], document: Document, options: ReadOptions
-) -> dict[int, str]:
+def _cameras(file: Any, videos: list[int], document: Document, pattern: str) -> dict[int, str]:
     """Return video -> camera. Raises FormatError where names do not tell several videos apart."""
-    source, pattern = document.source, options.camera_pattern
-    if not videos:
-        raise FormatError(source, "labelled frames", "none", "label or predict first")
     if len(videos) == 1 and not pattern:
         return {videos[0]: document.camera}
-    paths = _video_paths(file, videos, source)
+    entries = [json.loads(text(entry)) for entry in array(file, "videos_json", document.source)]
+    paths = {video: _video_path(file, entries[video]) for video in videos}
     cameras = {
         video: find_camera(path, pattern) if pattern else _stem(path)
         for video, path in paths.items()
@@ -136,36 +118,19 @@ def _cameras(
     if len(videos) == 1 and not cameras[videos[0]]:
         return {videos[0]: document.camera}
     if not any(paths.values()):
-        cameras = _cameras_of_session(file, videos, source) or cameras
-    _check_cameras(cameras, paths, source)
+        cameras = _cameras_of_session(file, videos, document.source) or cameras
+    if "" in cameras.values() or len(set(cameras.values())) < len(paths):
+        known = ", ".join(path for path in paths.values() if path)
+        remedy = "export an analysis .h5 of each video, which are named as the cameras"
+        if known:
+            remedy = f"say {argument('camera_regex')}"
+        expected = "a camera's name in the path of each video"
+        raise document.refuse(expected, known or "none", remedy)
     return cameras
-
-
-def _check_cameras(cameras: dict[int, str], paths: dict[int, str], source: str) -> None:
-    """Raise FormatError where a video has no camera, or two have the same."""
-    names = list(cameras.values())
-    if all(names) and len(set(names)) == len(paths):
-        return
-    known_paths = [path for path in paths.values() if path]
-    remedy = "export an analysis .h5 of each video, which are named as the cameras"
-    if known_paths:
-        remedy = f"say {argument('camera_regex')}"
-    raise FormatError(
-        source,
-        "a camera's name in the path of each video",
-        ", ".join(known_paths) or "none",
-        remedy,
-    )
 
 
 def _stem(path: str) -> str:
     return re.split(r"[/\\]", path)[-1].rpartition(".")[0]
-
-
-def _video_paths(file: Any, videos: list[int], source: str) -> dict[int, str]:
-    """Return video -> path of its file, "" where the project does not say it."""
-    entries = [json.loads(text(entry)) for entry in array(file, "videos_json", source)]
-    return {video: _video_path(file, entries[video]) for video in videos}
 
 
 def _video_path(file: Any, video: dict[str, Any]) -> str:
@@ -191,25 +156,21 @@ def _cameras_of_session(file: Any, videos: list[int], source: str) -> dict[int, 
     if len(sessions) != 1:
         return {}
     session = json.loads(text(sessions[0]))
-    name_of = {
-        key.removeprefix("cam_"): str(fields.get("name", ""))
-        for key, fields in session["calibration"].items()
-    }
     camera_of = {
-        int(video): name_of.get(camera, "")
+        int(video): str(session["calibration"].get(f"cam_{camera}", {}).get("name", ""))
         for camera, video in session["camcorder_to_video_idx_map"].items()
     }
     return {video: camera_of.get(video, "") for video in videos}
 
 
-# Detections
+# --- detections
 
 
-def _view(tables: _Tables, video: int, origin: Origin) -> Keypoints2D:
+def _view(tables: _Tables, video: int, camera: str, document: Document) -> Keypoints2D:
     """Return the camera of a video. Raises FormatError."""
-    source = origin.source
+    source = document.source
     frames = tables.frames[tables.frames["video"] == video]
-    instances = [_instances_of_frame(frame, tables, source) for frame in frames]
+    instances = [_instances_of_frame(frame, tables, document) for frame in frames]
     tracks = sorted({int(track) for rows in instances for track in rows["track"]})
     tracked = bool(tracks) and tracks[0] >= 0
     most = len(tracks) if tracked else max(map(len, instances), default=0)
@@ -217,49 +178,37 @@ def _view(tables: _Tables, video: int, origin: Origin) -> Keypoints2D:
     for values_of_frame, rows in zip(values, instances, strict=True):
         places = [tracks.index(int(row["track"])) for row in rows] if tracked else range(len(rows))
         if len(set(places)) < len(rows):
-            raise FormatError(
-                source, "each track once in a frame", "one twice", "mend the tracks in SLEAP"
-            )
+            expected, remedy = "each track once in a frame", "correct the tracks in SLEAP"
+            raise document.refuse(expected, "one twice", remedy)
         for place, row in zip(places, rows, strict=True):
-            values_of_frame[place] = _points_of_instance(row, tables)
+            points = tables.points[int(row["instance_type"])]
+            points_of_row = points[int(row["point_id_start"]) : int(row["point_id_end"])]
+            values_of_frame[place] = points_of_row
     values, remarks = fill_missing_scores(values)
     numbers = frames["frame_idx"].astype(np.int64)
+    origin = Origin(camera, source)
     return make_view(origin, tables.nodes, numbers, values, tracked=tracked, remarks=remarks)
 
 
-def _points_of_instance(row: Any, tables: _Tables) -> Floats:
-    """Return `[node, 3]` x, y, score."""
-    points = tables.points[int(row["instance_type"])]
-    return points[int(row["point_id_start"]) : int(row["point_id_end"])]
-
-
-def _instances_of_frame(frame: Any, tables: _Tables, source: str) -> Any:
+def _instances_of_frame(frame: Any, tables: _Tables, document: Document) -> Any:
     """Return the rows of a frame's instances, without predictions that were corrected by hand.
 
-    Raises FormatError.
+    A correction has the track of the prediction, or says which instance it was made from: by its
+    id, or by its index in the table. Raises FormatError.
     """
     start, end = int(frame["instance_id_start"]), int(frame["instance_id_end"])
-    rows = tables.instances[start:end]
-    nodes = len(tables.nodes)
+    rows, nodes = tables.instances[start:end], len(tables.nodes)
     if (rows["point_id_end"] - rows["point_id_start"] != nodes).any():
-        raise FormatError(source, f"{nodes} points in each instance", "another number", _REMEDY)
+        raise document.refuse(f"{nodes} points in each instance", "another number", _REMEDY)
     is_by_hand = rows["instance_type"] == _USER
-    return rows[is_by_hand | ~_are_corrected(rows, rows[is_by_hand], start)]
-
-
-def _are_corrected(rows: Any, by_hand: Any, start: int) -> Any:
-    """Return `[row]` whether an instance has been corrected by one of those made by hand.
-
-    The correction has its track, or says which instance it was made from: by its id, or by its
-    index in the table, which is `start` for the first of the rows.
-    """
-    tracks = by_hand["track"][by_hand["track"] >= 0]
-    originals = by_hand["from_predicted"]
+    tracks, originals = rows["track"][is_by_hand], rows["from_predicted"][is_by_hand]
     index = np.arange(start, start + len(rows))
-    same_track = np.isin(rows["track"], tracks)
-    same_id = np.isin(rows["instance_id"], originals)
-    same_index = np.isin(index, originals[originals >= 0])
-    return same_track | same_id | same_index
+    is_corrected = (
+        np.isin(rows["track"], tracks[tracks >= 0])
+        | np.isin(rows["instance_id"], originals)
+        | np.isin(index, originals[originals >= 0])
+    )
+    return rows[is_by_hand | ~is_corrected]
 
 
 PROJECT = Format(

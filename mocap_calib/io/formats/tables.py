@@ -18,9 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.errors import FormatError, argument
-from mocap_calib.io.document import Document
-from mocap_calib.io.file import (
-    Origin,
+from mocap_calib.io.detections import (
+    MIXED,
+    SCORES,
+    SIZES,
     blank,
     check_cameras,
     fill_missing_scores,
@@ -28,9 +29,10 @@ from mocap_calib.io.file import (
     make_view,
     unique_names,
 )
+from mocap_calib.io.document import Document
+from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format
-from mocap_calib.io.keypoints.losses import MIXED, SCORES, SIZES
-from mocap_calib.io.keypoints.options import ReadOptions
+from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.io.table import read_table
 from mocap_calib.types import Floats, Ints, Keypoints2D
 

@@ -20,7 +20,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError, count
 from mocap_calib.io.atomic import write_files
 from mocap_calib.io.formats.anipose import format_calibration_toml, format_intrinsics_toml
-from mocap_calib.io.formats.coco_writer import format_coco
+from mocap_calib.io.formats.coco import format_coco
 from mocap_calib.recording.names import compose_name
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 

@@ -1,0 +1,420 @@
+"""Read and write keypoint files: a camera each, or several; files, or folders of frames."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.errors import FormatError, MismatchError, MocapCalibError, argument
+from mocap_calib.io.atomic import check_no_other_files, write_files
+from mocap_calib.io.cameras import FILE_NAME, need_names
+from mocap_calib.io.crash_guard import end_calls, guard_hdf5
+from mocap_calib.io.detections import check_cameras, find_camera, frame_number
+from mocap_calib.io.document import NAMELESS, Document
+from mocap_calib.io.format import Format, Written, find_format, require_format, sniff
+from mocap_calib.io.formats import (
+    coco,
+    coco_results,
+    dannce,
+    deeplabcut,
+    deeplabcut_h5,
+    mmpose,
+    movement,
+    nwb,
+    openpose,
+    sleap,
+    sleap_slp,
+    tables,
+    ultralytics,
+)
+from mocap_calib.io.media import check_no_media, check_no_media_alone
+from mocap_calib.io.names import camera_name
+from mocap_calib.io.read_options import ReadOptions, apply_offsets, convert_to_pixels, split_views
+from mocap_calib.types import Keypoints2D, Reals
+
+# the first whose sniff says yes reads the file
+KEYPOINT_FORMATS = (
+    coco.ANNOTATIONS,
+    openpose.FORMAT,
+    mmpose.IMAGES,
+    mmpose.VIDEO,
+    deeplabcut.SUPERANIMAL,
+    coco_results.RESULTS,
+    coco_results.ALPHAPOSE,
+    deeplabcut_h5.HDF5,
+    sleap.ANALYSIS,
+    sleap_slp.PROJECT,
+    movement.KEYPOINTS,
+    nwb.KEYPOINTS,
+    dannce.KEYPOINTS,
+    deeplabcut.CSV,
+    sleap.TABLE,
+    tables.CALISCOPE,
+    tables.PLAIN,
+    ultralytics.FORMAT,
+)
+FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat")
+SUFFIXES = (*FOLDER_SUFFIXES, ".txt")  # the last only where there is nothing else
+_REMEDY = "export one of these (docs/formats.md)"
+
+
+# --- reading
+
+
+def read_keypoints(
+    paths: str | Path | bytes | Sequence[str | Path],
+    format: str | None = None,
+    options: ReadOptions | None = None,
+) -> tuple[Keypoints2D, ...]:
+    """Read the detections of each camera from files, folders and `name=path` pairs.
+
+    Positions are pixels as the files have them: x to the right, y down.
+
+    paths: one of these, or several, or the content of one file.
+    format: name of a keypoint format; where none is given, the content of each file says it.
+
+    Raises FormatError, in one line, for whatever is wrong with a file, and MismatchError where two
+    files are of one camera.
+    """
+    views, errors = read_what_can(paths, format, options)
+    if errors:
+        raise errors[0]
+    return views
+
+
+def read_what_can(
+    paths: str | Path | bytes | Sequence[str | Path],
+    format: str | None = None,
+    options: ReadOptions | None = None,
+) -> tuple[tuple[Keypoints2D, ...], list[MocapCalibError]]:
+    """Read the files that can be read; return also what `read_keypoints` raises of the others.
+
+    Raises MismatchError as `read_keypoints` does.
+    """
+    options = options or ReadOptions()
+    if format is not None:
+        find_format(KEYPOINT_FORMATS, format)
+    if isinstance(paths, bytes):
+        documents = [Document(Path(NAMELESS), given=paths, camera=NAMELESS)]
+    else:
+        several = [paths] if isinstance(paths, str | Path) else paths
+        documents = list_documents(several, options, format)
+    _check_cameras_once([(each.camera, each.source) for each in documents if each.camera])
+    views: list[Keypoints2D] = []
+    errors: list[MocapCalibError] = []
+    try:
+        for found in _read_all(documents, format, options):
+            if isinstance(found, MocapCalibError):
+                errors.append(found)
+            else:
+                views += found
+    except BaseException:
+        end_calls()  # of threads, which Ctrl-C does not reach
+        raise
+    _check_cameras_once([(view.camera, view.source) for view in views])
+    return (tuple(views), errors) if errors else (apply_offsets(views, options), [])
+
+
+def looks_like_keypoints(path: Path) -> bool:
+    """Return whether the first file, or folder of frames, at a path is of one of the formats."""
+    try:
+        return bool(_sniffed(list_documents([path], ReadOptions())[0]).format)
+    except MocapCalibError:
+        return False
+
+
+def _check_cameras_once(found: list[tuple[str, str]]) -> None:
+    """Raise MismatchError where a camera occurs twice in (camera, source) pairs."""
+    cameras = [camera for camera, _ in found]
+    for camera in cameras:
+        if cameras.count(camera) > 1:
+            files = " and ".join(source for other, source in found if other == camera)
+            twice, remedy = f"{files} for camera {camera}", "leave one out, or say name=path"
+            raise MismatchError("", "one keypoint file per camera", twice, remedy)
+
+
+def _read_all(
+    documents: list[Document], format: str | None, options: ReadOptions
+) -> Iterator[tuple[Keypoints2D, ...] | MocapCalibError]:
+    """Yield the cameras in each document, or what is wrong with it; the list is empty after.
+
+    HDF5, which other processes read, is read side by side. Any other file is held in memory while
+    it is read: one at a time.
+    """
+
+    def read(document: Document) -> tuple[Keypoints2D, ...] | MocapCalibError:
+        try:
+            views = guard_hdf5(document, _read, document, format, options)
+            return tuple(_copy(view, lambda block: block) for view in views)  # out of memory
+        except MocapCalibError as error:
+            return error
+
+    waiting = (documents.pop(0) for _ in range(len(documents)))  # a document holds its file
+    for apart, some in groupby(waiting, _is_hdf5):
+        if apart:
+            yield from map_in_threads(read, some)
+        else:
+            yield from map(read, some)
+
+
+def _is_hdf5(document: Document) -> bool:
+    """Return whether a document is HDF5, as far as it can be read."""
+    try:
+        return document.is_hdf5
+    except MocapCalibError:
+        return False
+
+
+def _read(document: Document, format: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Read the cameras in a document. Raises FormatError and MismatchError."""
+    source = document.source
+    known = require_format(KEYPOINT_FORMATS, document, format, _REMEDY)
+    views: tuple[Keypoints2D, ...] = known.reader()(document, options)
+    check_cameras([view.camera for view in views], source)
+    if document.named:
+        if len(views) > 1:
+            found, remedy = ", ".join(view.camera for view in views), "give the file without a name"
+            raise MismatchError(source, f"the one camera {document.camera}", found, remedy)
+        views = (replace(views[0], camera=document.camera),)
+    if not all(view.camera for view in views):
+        expected = f"a camera in the path by the pattern {options.camera_pattern}"
+        raise document.refuse(expected, "none", f"change {argument('camera_regex')}")
+    read = []
+    for view in (part for whole in views for part in split_views(whole, options.views)):
+        scaled = convert_to_pixels(view, options.size_of(view.camera))
+        if options.single_precision:
+            scaled = _copy(scaled, lambda block: block.astype(np.float32))
+        read.append(replace(scaled, camera=camera_name(view.camera, source)))
+    return tuple(read)
+
+
+def _copy(view: Keypoints2D, change: Callable[[Reals], Reals]) -> Keypoints2D:
+    """Return the view with what becomes of its arrays, block by block; long ones lie on disk."""
+
+    def changed(array: Reals) -> Reals:
+        return mapped.in_blocks(lambda block: change(array[block]), len(array))
+
+    return replace(view, positions=changed(view.positions), confidence=changed(view.confidence))
+
+
+# --- the documents in files and folders
+
+
+def list_documents(
+    paths: Sequence[str | Path], options: ReadOptions, format: str | None = None
+) -> list[Document]:
+    """Return the documents in files, folders and `name=path` pairs.
+
+    A folder holds a file per camera, or folders of them, or, where the format of its first file
+    says so, the frames of one camera. Where it has files and folders, and only one of the two shows
+    keypoints, the other is something else (notes, 3D poses, results) and is left out.
+
+    The camera is what the pattern of the options finds in the path; else what the user says; else
+    the name of the folder that holds the frames or nothing but the file; else the file's stem.
+
+    format: name of the only format that is looked for; None: all of them.
+
+    Raises MismatchError, and FormatError for videos and images.
+    """
+    return [each for path in paths for each in _of_argument(str(path), options, format)]
+
+
+def find_superseded_files(folder: Path) -> list[Path]:
+    """Return the .csv files beside an .h5 file of the same name, as DeepLabCut writes them.
+
+    The .h5 is read in their place.
+    """
+    files = _list_files(folder)
+    binary = {file.stem for file in files if file.suffix.lower() == ".h5"}
+    return [file for file in files if file.suffix.lower() == ".csv" and file.stem in binary]
+
+
+def _of_argument(text: str, options: ReadOptions, format: str | None) -> list[Document]:
+    """Return the documents of one argument: a path, or `name=path`."""
+    name, equals, rest = text.partition("=")
+    if not equals or Path(text).exists():
+        return _of_path(Path(text), options, format)
+    if not name or not rest:
+        raise MismatchError("", "name=path", text, "say which camera the file is of")
+    found = _of_argument(rest, options, format)
+    if len(found) != 1:
+        expected = f"the keypoints of the one camera {name}"
+        raise MismatchError(rest, expected, f"{len(found)} files", "name each of them")
+    return [replace(found[0], camera=name, named=True)]
+
+
+def _of_path(path: Path, options: ReadOptions, format: str | None) -> list[Document]:
+    """Return the documents of a file or folder; the pattern names their cameras where it is given.
+
+    Raises MismatchError, and FormatError for videos and images.
+    """
+    check_no_media(path, SUFFIXES)
+    found = _of_folder(path, format) if path.is_dir() else [Document(path, camera=_stem(path))]
+    if not found:
+        check_no_media_alone(path, SUFFIXES)
+        expected = f"keypoint files ({', '.join(SUFFIXES)}) in the folder"
+        raise MismatchError(path, expected, "none", "name the files themselves")
+    if not options.camera_pattern:
+        return found
+    # a camera that the pattern does not find in the path may be found by the reader in the file
+    return [
+        replace(each, camera=find_camera(str(each.path), options.camera_pattern)) for each in found
+    ]
+
+
+def _of_folder(folder: Path, format: str | None) -> list[Document]:
+    """Return the documents of a folder: of its files, of its folders, or of both."""
+    files, folders = _of_files(folder, format), _of_subfolders(folder, format)
+    if files and folders:
+        files, files_show = _sniff_until_keypoints(files, format)
+        folders, folders_show = _sniff_until_keypoints(folders, format)
+        if files_show != folders_show:
+            return files if files_show else folders
+    return files + folders
+
+
+def _sniff_until_keypoints(
+    documents: list[Document], format: str | None
+) -> tuple[list[Document], bool]:
+    """Return the documents, sniffed up to the first with keypoints, and whether there is one."""
+    sniffed: list[Document] = []
+    for number, document in enumerate(documents, 1):
+        sniffed.append(_sniffed(document, format))
+        if sniffed[-1].format != "":
+            return sniffed + documents[number:], True
+    return sniffed, False
+
+
+def _of_files(folder: Path, format: str | None) -> list[Document]:
+    """Return a document per file, or one where the files are frames."""
+    files = _list_files(folder)
+    if not files:
+        return []
+    frames = Document(folder, camera=_camera_of_folder(folder), members=tuple(files))
+    if not frames.is_hdf5:
+        frames = _sniffed(frames, format)
+        if frames.format and find_format(KEYPOINT_FORMATS, frames.format).per_frame:
+            return [frames]
+    return [
+        Document(
+            file,
+            camera=_stem(file),
+            format=frames.format if file.absolute() == frames.file else None,
+        )
+        for file in sorted({*files} - {*find_superseded_files(folder)})
+    ]
+
+
+def _of_subfolders(folder: Path, format: str | None) -> list[Document]:
+    """Return the documents in the folders of a folder; one that is alone names its camera."""
+    documents: list[Document] = []
+    for subfolder in sorted(folder.iterdir()):
+        if subfolder.is_dir() and not subfolder.name.startswith("."):
+            found = _of_folder(subfolder, format)
+            if len(found) == 1:
+                found = [replace(found[0], camera=_camera_of_folder(subfolder))]
+            documents += found
+    return documents
+
+
+def _camera_of_folder(folder: Path) -> str:
+    """Return the camera: OpenPose's folder ends in _json, Ultralytics' holds a folder `labels`."""
+    path = folder.absolute()
+    return (path.parent if folder.name == "labels" else path).name.removesuffix("_json")
+
+
+def _list_files(folder: Path) -> list[Path]:
+    """Return the files of a folder that may hold keypoints, by name.
+
+    Texts are mostly notes: they count where there is nothing else, and then only those that are
+    numbered, as frames are, where there are any.
+    """
+    files = sorted(
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file()
+    )
+    data = [file for file in files if file.suffix.lower() != ".txt"]
+    numbered = [file for file in files if frame_number(file.name) >= 0]
+    return data or numbered or files
+
+
+def _stem(path: Path) -> str:
+    """Return the file's name without its suffix, and without SLEAP's second one."""
+    return path.stem.removesuffix(".analysis")
+
+
+def _sniffed(document: Document, format: str | None = None) -> Document:
+    """Return the document with the format that its content shows; as it is where that is known.
+
+    It is left unknown for a damaged file, which is refused when it is read.
+
+    format: name of the only format to try; None: all of them.
+    """
+    if document.format is not None:
+        return document
+    try:
+        found = guard_hdf5(document, sniff, KEYPOINT_FORMATS, document, format)
+    except FormatError:
+        return document
+    return replace(document, format=found)  # without the content: many need not fit into memory
+
+
+# --- writing
+
+
+def format_keypoints(views: tuple[Keypoints2D, ...], format: str) -> Written:
+    """Return the files of the cameras in the format, and what of the views they do not hold.
+
+    Raises MismatchError where the format is only read or cannot hold the detections.
+    """
+    known = find_written_format(format)
+    for view in views:
+        if known.followed and not view.tracked and view.positions.shape[1] > 1:
+            expected = f"one individual or followed ones, as {known.title} has"
+            found, remedy = "detections in any order", "choose csv or coco"
+            raise MismatchError(view.source, expected, found, remedy)
+    unsigned = (replace(view, positions=view.positions + 0.0) for view in views)  # no -0.0
+    files = known.writer()(tuple(unsigned))
+    return Written(files, tuple(loss.what for loss in known.loses if loss.has(views)))
+
+
+def find_written_format(name: str) -> Format:
+    """Return the format of that name. Raises MismatchError where it is not one that is written."""
+    known = find_format(KEYPOINT_FORMATS, name)
+    known.writer()
+    return known
+
+
+def write_keypoints(
+    path: str | Path,
+    views: tuple[Keypoints2D, ...],
+    format: str,
+    *,
+    beside: Mapping[str, bytes] | None = None,
+) -> tuple[str, ...]:
+    """Write the cameras in the format, whole or not at all.
+
+    A format with one file for all cameras writes `path`, where that has an ending; others fill the
+    folder `path`. Returns what of the views is not held. Raises MismatchError as `format_keypoints`
+    does, and where the folder has files of another recording.
+
+    beside: further files, name -> content, of the folder; beside a file they are called
+        FILE.NAME.
+    """
+    path, beside = Path(path), beside or {}
+    written = format_keypoints(views, format)
+    if len(written.files) == 1 and path.suffix:
+        (content,) = written.files.values()
+        named = {f"{path.name}.{name}": further for name, further in beside.items()}
+        write_files(path.absolute().parent, {path.name: content, **named})
+        return written.lost
+    for view in views:  # a name may come from inside a file, and lead anywhere
+        need_names((view.camera,), *FILE_NAME, view.source)
+    check_no_other_files(path, written.files, FOLDER_SUFFIXES)
+    write_files(path, {**written.files, **beside})
+    return written.lost

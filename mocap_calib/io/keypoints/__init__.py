@@ -1,1 +1,0 @@
-"""Keypoint files, a module a format."""
