@@ -380,7 +380,7 @@ def format_keypoints(views: tuple[Keypoints2D, ...], format: str) -> Written:
             raise MismatchError(view.source, expected, found, remedy)
     unsigned = (replace(view, positions=view.positions + 0.0) for view in views)  # no -0.0
     files = known.writer()(tuple(unsigned))
-    return Written(files, tuple(loss.what for loss in known.loses if loss.has(views)))
+    return Written(files, known.lost(views))
 
 
 def find_written_format(name: str) -> Format:

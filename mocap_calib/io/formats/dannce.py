@@ -51,40 +51,24 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 
     Keypoints are `point_1`, ... where the user does not name them. Raises FormatError.
     """
-    source = document.source
-    cameras, labels = _read_variables(document)
+    found = _read_mat(document, _VARIABLES, expected="a whole MATLAB file", remedy=_REMEDY)
+    missing = sorted(set(_VARIABLES) - found.keys())
+    if missing:
+        absent, remedy = f"no {' and no '.join(missing)}", "give the file that Label3D saved"
+        raise document.refuse("the variables camnames and labelData", absent, remedy)
+    cameras, labels = found["camnames"], found["labelData"]
+    are_cells = isinstance(cameras, list) and isinstance(labels, list)
+    if not are_cells or len(cameras) != len(labels) or not all(map(_is_name, cameras)):
+        expected = "cells camnames and labelData, one for each camera"
+        raise document.refuse(expected, "others", _REMEDY)
     return tuple(
-        _view(Origin(camera, source), label, options)
+        _view(Origin(camera, document.source), label, options)
         for camera, label in zip(cameras, labels, strict=True)
     )
 
 
-def _read_variables(document: Document) -> tuple[list[str], list[Any]]:
-    """Return the names of the cameras and the labels of each. Raises FormatError."""
-    source = document.source
-    variables = _read_mat(document, _VARIABLES, expected="a whole MATLAB file", remedy=_REMEDY)
-    missing = set(_VARIABLES) - variables.keys()
-    if missing:
-        raise FormatError(
-            source,
-            "the variables camnames and labelData",
-            f"no {' and no '.join(sorted(missing))}",
-            "give the file that Label3D saved",
-        )
-    cameras, labels = variables["camnames"], variables["labelData"]
-    if not _are_cells_of_cameras(cameras, labels):
-        raise FormatError(
-            source, "cells camnames and labelData, one for each camera", "others", _REMEDY
-        )
-    return cameras, labels
-
-
-def _are_cells_of_cameras(cameras: Any, labels: Any) -> bool:
-    """Return whether these are a list of names and a list with an entry for each of them."""
-    if not isinstance(cameras, list) or not isinstance(labels, list):
-        return False
-    named = all(isinstance(camera, str) and camera for camera in cameras)
-    return named and len(cameras) == len(labels)
+def _is_name(value: Any) -> bool:
+    return isinstance(value, str) and bool(value)
 
 
 def _view(origin: Origin, label: Any, options: ReadOptions) -> Keypoints2D:
@@ -108,9 +92,8 @@ def _frames_and_positions(label: Any, source: str) -> tuple[Ints, Floats]:
             frames = np.asarray(label[0]["data_frame"]).reshape(-1).astype(np.int64)
         positions = points.reshape(len(frames), -1, 2)
     except (ValueError, IndexError, TypeError, OverflowError, KeyError) as error:
-        raise FormatError(
-            source, "data_2d [frame, 2 x keypoint] and data_frame", f"an error ({error})", _REMEDY
-        ) from None
+        expected = "data_2d [frame, 2 x keypoint] and data_frame"
+        raise FormatError(source, expected, f"an error ({error})", _REMEDY) from None
     if not len(frames) or not positions.shape[1] or frames.min() < 0:
         raise FormatError(source, "labelled frames", "none", "label some first")
     return frames, positions

@@ -40,14 +40,9 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         values = _values(file, source)
         keypoints = names(file, "keypoint" if "keypoint" in file else "keypoints", source)
         frames = _frame_numbers(file, source)
-        times, _, points = values.shape[:3]
-        if (len(frames), len(keypoints)) != (times, points):
-            raise FormatError(
-                source,
-                f"{times} times and {points} keypoints",
-                f"{len(frames)} and {len(keypoints)}",
-                _REMEDY,
-            )
+    if (len(frames), len(keypoints)) != (len(values), values.shape[2]):
+        expected = f"{len(values)} times and {values.shape[2]} keypoints"
+        raise document.refuse(expected, f"{len(frames)} and {len(keypoints)}", _REMEDY)
     values, remarks = fill_missing_scores(values)
     return (make_view(document.origin, keypoints, frames, values, tracked=True, remarks=remarks),)
 
@@ -57,11 +52,10 @@ def _values(file: Any, source: str) -> Floats:
     positions = read_variable(file, "position", _OUR_AXES, source)
     space = names(file, "space", source)
     if space != ("x", "y"):
-        raise FormatError(
-            source, "2D positions (x, y)", ", ".join(space), "give the 2D poses of each camera"
-        )
-    frames, individuals, keypoints = positions.shape[:3]
-    values = blank(frames, individuals, keypoints, source)
+        remedy = "give the 2D poses of each camera"
+        raise FormatError(source, "2D positions (x, y)", ", ".join(space), remedy)
+    frames, instances, keypoints = positions.shape[:3]
+    values = blank(frames, instances, keypoints, source)
     values[..., :2] = positions
     if "confidence" in file:
         values[..., 2] = read_variable(file, "confidence", _OUR_AXES[:3], source)
@@ -78,21 +72,16 @@ def read_variable(file: Any, name: str, axes: tuple[str, ...], source: str) -> F
     usual = tuple(axis for axis in _MOVEMENT_AXES if axis in axes)
     found = _axes_by_number(file, name) or _axes_by_reference(file, name) or usual
     if sorted(found) != sorted(axes) or not _fit_coordinates(file, found, values.shape):
-        raise FormatError(
-            source,
-            f"`{name}` over {', '.join(usual)}, as long as their coordinates",
-            f"{', '.join(found)} of shape {values.shape}",
-            _REMEDY,
-        )
+        expected = f"`{name}` over {', '.join(usual)}, as long as their coordinates"
+        got = f"{', '.join(found)} of shape {values.shape}"
+        raise FormatError(source, expected, got, _REMEDY)
     return values.transpose([found.index(axis) for axis in axes])
 
 
 def _fit_coordinates(file: Any, axes: tuple[str, ...], shape: tuple[int, ...]) -> bool:
     """Return whether these axes are as long as their coordinates, where the file has them."""
-    if len(axes) != len(shape):
-        return False
     lengths = {axis: len(file[key]) for axis in axes for key in _spellings(file, axis)}
-    return all(
+    return len(axes) == len(shape) and all(
         lengths.get(axis, length) == length for axis, length in zip(axes, shape, strict=True)
     )
 
@@ -104,15 +93,15 @@ def _spellings(file: Any, axis: str) -> list[str]:
 
 def _axes_by_number(file: Any, name: str) -> tuple[str, ...]:
     """Return the axes of a variable by netCDF's numbers; none where it has not given any."""
-    axis_of_number = {}
-    for axis in _MOVEMENT_AXES:
-        for key in _spellings(file, axis):
-            if "_Netcdf4Dimid" in file[key].attrs:
-                axis_of_number[int(file[key].attrs["_Netcdf4Dimid"])] = axis
+    axis_of_number = {
+        int(file[key].attrs["_Netcdf4Dimid"]): axis
+        for axis in _MOVEMENT_AXES
+        for key in _spellings(file, axis)
+        if "_Netcdf4Dimid" in file[key].attrs
+    }
     numbers = np.ravel(file[name].attrs.get("_Netcdf4Coordinates", ())).tolist()
-    if not axis_of_number.keys() >= set(numbers):
-        return ()
-    return tuple(axis_of_number[int(number)] for number in numbers)
+    known = axis_of_number.keys() >= set(numbers)
+    return tuple(axis_of_number[int(number)] for number in numbers) if known else ()
 
 
 def _axes_by_reference(file: Any, name: str) -> tuple[str, ...]:
@@ -126,30 +115,19 @@ def _frame_numbers(file: Any, source: str) -> Ints:
     """Return the `[frame]` numbers from the times. Raises FormatError."""
     times = array(file, "time", source).astype(np.float64)
     if text(file.attrs.get("time_unit", "frames")) == "seconds":
-        times = times * _frames_per_second(file, source)
-    if not _are_whole_frames(times):
-        raise FormatError(
-            source, "times that are whole frames", "others", "save it with time_unit frames"
-        )
-    return np.rint(times).astype(np.int64)
-
-
-def _frames_per_second(file: Any, source: str) -> float:
-    rate = float(np.asarray(file.attrs.get("fps", np.nan)).reshape(-1)[0])
-    if not rate > 0:
-        raise FormatError(
-            source, "frames per second (`fps`) beside times in seconds", rate, _REMEDY
-        )
-    return rate
-
-
-def _are_whole_frames(times: Floats) -> bool:
-    """Return whether the `[frame]` times are frame numbers."""
-    if times.ndim != 1 or not np.isfinite(times).all():
-        return False
+        rate = float(np.asarray(file.attrs.get("fps", np.nan)).reshape(-1)[0])
+        if not rate > 0:
+            expected = "frames per second (`fps`) beside times in seconds"
+            raise FormatError(source, expected, rate, _REMEDY)
+        times = times * rate
     frames = np.rint(times)
-    in_range = (frames >= 0) & (frames <= LARGEST_EXACT_FLOAT)
-    return bool(in_range.all() and (np.abs(times - frames) <= _WHOLE).all())
+    with np.errstate(invalid="ignore"):  # of times that are infinite
+        is_whole = (frames >= 0) & (frames <= LARGEST_EXACT_FLOAT)
+        is_whole &= np.abs(times - frames) <= _WHOLE
+    if times.ndim != 1 or not is_whole.all():
+        remedy = "save it with time_unit frames"
+        raise FormatError(source, "times that are whole frames", "others", remedy)
+    return frames.astype(np.int64)
 
 
 def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:

@@ -56,21 +56,15 @@ def _groups_of_type(group: Any, kind: str, depth: int = _DEPTH) -> list[Any]:
 
     Those directly below come first.
     """
-    if not depth:
-        return []
-    children = _child_groups(group)
+    # links are not followed, so that nothing is found twice
+    links = {name: group.get(name, getlink=True) for name in group}
+    own = [group[name] for name, link in links.items() if isinstance(link, h5py.HardLink)]
+    children = [child for child in own if isinstance(child, h5py.Group)]
     found = [child for child in children if _is_of_type(child, kind)]
-    for child in children:
+    for child in children if depth > 1 else ():
         if not _is_of_type(child, kind):
             found += _groups_of_type(child, kind, depth - 1)
     return found
-
-
-def _child_groups(group: Any) -> list[Any]:
-    """Return the groups in a group; links are not followed, so that nothing is found twice."""
-    links = {name: group.get(name, getlink=True) for name in group}
-    children = [group[name] for name, link in links.items() if isinstance(link, h5py.HardLink)]
-    return [child for child in children if isinstance(child, h5py.Group)]
 
 
 def _is_of_type(group: Any, kind: str) -> bool:
@@ -103,12 +97,8 @@ def _check_one_video(group: Any, source: str) -> None:
     """Raise FormatError where the poses are of several videos."""
     videos = names(group, "original_videos", source) if "original_videos" in group else ()
     if len(videos) > 1:
-        raise FormatError(
-            source,
-            "the poses of one camera",
-            f"one series for {', '.join(videos)}",
-            "write a PoseEstimation per camera",
-        )
+        found, remedy = f"one series for {', '.join(videos)}", "write a PoseEstimation per camera"
+        raise FormatError(source, "the poses of one camera", found, remedy)
 
 
 def _values(series_of: dict[str, Any], source: str) -> Floats:

@@ -74,35 +74,34 @@ def _values(file: Any, nodes: int, individuals: int, source: str) -> Floats:
     """Return `[frame, track, node, 3]` x, y, score. Raises FormatError."""
     tracks = array(file, "tracks", source)
     scores = array(file, "point_scores", source) if "point_scores" in file else np.zeros(0)
-    fitting = _fitting_axes(
-        tracks.shape,
-        _possible_axes(file["tracks"]),
-        nodes=nodes,
-        individuals=individuals,
-        frames=_count_frames(file, source),
-        score_shape=scores.shape,
-    )
+    occupancy = array(file, "track_occupancy", source) if "track_occupancy" in file else np.zeros(0)
+    length, shape = max(occupancy.shape, default=0), tracks.shape
+
+    def fits(axes: Axes) -> bool:
+        _, track, node, coordinate = (shape[axis] for axis in axes)
+        return (node, coordinate) == (nodes, 2) and individuals in (0, track)
+
+    fitting = [axes for axes in _possible_axes(file["tracks"]) if len(shape) == 4 and fits(axes)]
+    if len(fitting) > 1:
+        fitting = [axes for axes in fitting if shape[axes[0]] == length] or fitting
+    without_coordinate = {axes: tuple(np.delete(shape, axes[3])) for axes in fitting}
+    if len(fitting) > 1:
+        fitting = [axes for axes in fitting if scores.shape == without_coordinate[axes]] or fitting
     if len(fitting) != 1:
-        raise FormatError(
-            source,
-            f"`tracks` of shape (tracks, 2, {nodes} nodes, frames)",
-            f"{tracks.shape}, which fits {len(fitting)} orders of axes",
-            _REMEDY,
-        )
-    positions = tracks.transpose(fitting[0]).astype(np.float64)
+        expected = f"`tracks` of shape (tracks, 2, {nodes} nodes, frames)"
+        found = f"{shape}, which fits {len(fitting)} orders of axes"
+        raise FormatError(source, expected, found, _REMEDY)
+    axes = fitting[0]
+    positions = tracks.transpose(axes).astype(np.float64)
     frames, instances, keypoints = positions.shape[:3]
     values = blank(frames, instances, keypoints, source)
     values[..., :2] = positions
+    if scores.size and scores.shape != without_coordinate[axes]:
+        expected = f"`point_scores` of shape {without_coordinate[axes]}"
+        raise FormatError(source, expected, scores.shape, _REMEDY)
     if scores.size:
-        values[..., 2] = _scores(scores, fitting[0], values.shape[:3], source)
+        values[..., 2] = np.expand_dims(scores, axes[3]).transpose(axes)[..., 0]
     return values
-
-
-def _count_frames(file: Any, source: str) -> int:
-    """Return how many frames there are by the occupancy; 0 where the file does not say."""
-    if "track_occupancy" not in file:
-        return 0
-    return max(array(file, "track_occupancy", source).shape, default=0)
 
 
 def _possible_axes(tracks: Any) -> tuple[Axes, ...]:
@@ -112,56 +111,6 @@ def _possible_axes(tracks: Any) -> tuple[Axes, ...]:
     dims = json.loads(text(tracks.attrs["dims"]))
     frame, track, node, coordinate = (dims.index(name) for name in _DIMENSIONS)
     return ((frame, track, node, coordinate),)
-
-
-def _fitting_axes(
-    shape: tuple[int, ...],
-    possible: tuple[Axes, ...],
-    *,
-    nodes: int,
-    individuals: int,
-    frames: int,
-    score_shape: tuple[int, ...],
-) -> list[Axes]:
-    """Return the orders of axes that fit what is known of the lengths.
-
-    shape: of `tracks`. possible: orders to choose from. individuals, frames: 0 where the file does
-    not say. The number of frames and the shape of the scores are looked at only where more than one
-    order fits.
-    """
-    fitting = [
-        axes for axes in possible if _fits(axes, shape, nodes=nodes, individuals=individuals)
-    ]
-    if len(fitting) > 1 and frames:
-        fitting = [axes for axes in fitting if shape[axes[0]] == frames] or fitting
-    if len(fitting) > 1:  # scores have no axis of coordinates
-        agreeing = [axes for axes in fitting if score_shape == tuple(np.delete(shape, axes[3]))]
-        fitting = agreeing or fitting
-    return fitting
-
-
-def _fits(axes: Axes, shape: tuple[int, ...], *, nodes: int, individuals: int) -> bool:
-    """Return whether `tracks` of this shape can have its axes in this order."""
-    if len(shape) != 4:
-        return False
-    _, track, node, coordinate = axes
-    if shape[node] != nodes or shape[coordinate] != 2:
-        return False
-    return not individuals or shape[track] == individuals
-
-
-def _scores(scores: Any, axes: Axes, shape: tuple[int, ...], source: str) -> Floats:
-    """Return the `[frame, track, node]` scores. Raises FormatError.
-
-    axes: of the tracks; those of the scores are in the same order, without the coordinates.
-    """
-    if scores.ndim == 3:
-        scores = scores.transpose([sorted(axes[:3]).index(axis) for axis in axes[:3]])
-    if scores.shape != shape:
-        raise FormatError(
-            source, f"`point_scores` of shape {shape} (frame, track, node)", scores.shape, _REMEDY
-        )
-    return np.asarray(scores, dtype=np.float64)
 
 
 def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
@@ -177,6 +126,9 @@ def _format_analysis(view: Keypoints2D) -> bytes:
     instances = values.shape[1]
     seen = np.isfinite(values[..., 0])
     is_there = seen.any(-1)
+    prefix = "track_" if view.tracked else _UNTRACKED
+    is_followed = instances > 1 or view.tracked
+    track_names = [f"{prefix}{number}" for number in range(instances)] if is_followed else []
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         file["tracks"] = values[..., :2].transpose(1, 3, 2, 0)
@@ -185,7 +137,7 @@ def _format_analysis(view: Keypoints2D) -> bytes:
         file["tracking_scores"] = np.where(is_there, 0.0, np.nan).T
         file["track_occupancy"] = is_there.astype(np.uint8)
         file["node_names"] = np.array([name.encode() for name in view.keypoints])
-        file["track_names"] = np.array(_track_names(instances, tracked=view.tracked), dtype="S")
+        file["track_names"] = np.array(track_names, dtype="S")
         file["edge_inds"] = np.zeros((0, 2), dtype=np.int32)
         file["edge_names"] = np.zeros((0, 2), dtype="S1")
         file["labels_path"] = ""
@@ -195,14 +147,6 @@ def _format_analysis(view: Keypoints2D) -> bytes:
     return buffer.getvalue()
 
 
-def _track_names(instances: int, *, tracked: bool) -> list[str]:
-    """Return the names of the tracks; none for a single instance that nobody follows."""
-    if instances == 1 and not tracked:
-        return []
-    prefix = "track_" if tracked else _UNTRACKED
-    return [f"{prefix}{number}" for number in range(instances)]
-
-
 def _values_from_frame_0(view: Keypoints2D) -> Floats:
     """Return `[frame, instance, keypoint, 3]` x, y, confidence of all frames from 0 to the last.
 
@@ -210,12 +154,9 @@ def _values_from_frame_0(view: Keypoints2D) -> Floats:
     """
     frames = int(view.frames.max(initial=-1)) + 1
     if frames > _EMPTY_PER_FRAME * len(view.frames) + _EMPTY_AT_LEAST:
-        raise MismatchError(
-            view.source,
-            "frame numbers near 0, which SLEAP counts from",
-            f"{view.frames[0]}-{frames - 1}",
-            "choose another format",
-        )
+        expected = "frame numbers near 0, which SLEAP counts from"
+        found, remedy = f"{view.frames[0]}-{frames - 1}", "choose another format"
+        raise MismatchError(view.source, expected, found, remedy)
     values = np.full((frames, *view.confidence.shape[1:], 3), np.nan)
     values[view.frames] = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
     values[~np.isfinite(values[..., 0])] = np.nan
