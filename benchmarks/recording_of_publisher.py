@@ -25,7 +25,7 @@ from poses_of_arrays import names_of, read_clip
 from mocap_calib.errors import MismatchError, MocapCalibError
 from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.keypoints import read_keypoints
-from mocap_calib.io.results.scene import write_scene
+from mocap_calib.synthetic.scene_files import write_scene
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 # of CMU Panoptic's 19 joints, in their order
@@ -38,7 +38,7 @@ PANOPTIC: tuple[str, ...] = (
 
 @dataclass(frozen=True)
 class Made:
-    """A recording as it is written; `mocap_calib.io.results.scene` says what the fields are."""
+    """A recording as it is written; `mocap_calib.synthetic.scene_files` has the fields."""
 
     rig: CameraRig
     files: tuple[Keypoints2D, ...]

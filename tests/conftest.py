@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 import mocap_calib as mc
 from mocap_calib.io.crash_guard import end_calls
-from mocap_calib.io.results.scene import write_scene
+from mocap_calib.synthetic.scene_files import write_scene
 
 # as the commands do: further threads of the libraries only spin when the machine has other work
 torch.set_num_threads(1)

@@ -155,8 +155,8 @@ def test_no_module_names_truth_and_reference():
     """They are for judging; `simulate` writes both, and `evaluate` has one in its examples."""
     for path in SOURCES:
         text = path.read_text("utf-8")
-        assert "truth.npz" not in text or path.match("io/results/scene.py"), path
-        judges = path.match("io/results/scene.py") or path.is_relative_to(ROOT / "cli")
+        assert "truth.npz" not in text or path.match("synthetic/scene_files.py"), path
+        judges = path.match("synthetic/scene_files.py") or path.is_relative_to(ROOT / "cli")
         assert judges or "reference.toml" not in text, path
 
 

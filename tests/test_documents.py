@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import mocap_calib as mc
-from mocap_calib.io.results.scene import write_scene
+from mocap_calib.synthetic.scene_files import write_scene
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")

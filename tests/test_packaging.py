@@ -21,7 +21,7 @@ from scenes import scene
 
 from mocap_calib import __version__
 from mocap_calib.compute import identify_program
-from mocap_calib.io.results.scene import write_scene
+from mocap_calib.synthetic.scene_files import write_scene
 
 ROOT = Path(__file__).parents[1]
 NOT_SOURCES = (".git", ".venv", "*.egg-info", "build", "dist", "out", "__pycache__", ".*_cache")

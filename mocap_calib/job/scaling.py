@@ -17,13 +17,13 @@ from mocap_calib.errors import FormatError, MismatchError, argument, count
 from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, write_pieces
 from mocap_calib.io.camera_files import format_rig, load_cameras, make_rig, read_rig
+from mocap_calib.io.formats import own_cameras, own_poses
 from mocap_calib.io.formats.anipose_csv import poses_csv
 from mocap_calib.io.formats.own_cameras import SUBFRAME
 from mocap_calib.io.formats.own_poses import write_poses_h5
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.pose_files import load_poses
 from mocap_calib.io.results.group import PAGE, REPORT, read_outputs, write_run_json
-from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
 from mocap_calib.io.world_fields import world_fields
 from mocap_calib.recording.corrections import own_name
 from mocap_calib.results import RigCovariance
@@ -89,7 +89,7 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
             _scale_cameras(folder / place, work / place, scale)
         scaled = file.poses.scale(scale.factor, "m")
         scaled = replace(scaled, world=scaled_world(scaled.world, scale))
-        stored = provenance_of_poses(folder / _POSES)
+        stored = own_poses.stored_provenance(folder / _POSES)
         write_poses_h5(work / _POSES, replace(file, poses=scaled), stored)
         for individual in range(scaled.positions.shape[1]):
             own = numbered_file(Path("poses3d.csv"), individual)
@@ -147,7 +147,7 @@ def _scale_cameras(source: Path, target: Path, scale: Scale) -> None:
     rig = read_rig(source / _CAMERAS)
     rig = rig.scale(scale.factor, "m")
     rig = replace(rig, world=scaled_world(rig.world, scale))
-    provenance = provenance_of_cameras(source / _CAMERAS)
+    provenance = own_cameras.stored_provenance(source / _CAMERAS)
     for name, format in _FORMATS.items():
         if (source / name).is_file():
             own = {key: provenance[key] for key in provenance if key != SUBFRAME}

@@ -21,7 +21,7 @@ from mocap_calib.io.hashing import hash_file, hash_inputs
 from mocap_calib.io.provenance import date_of_making
 from mocap_calib.io.results.further_formats import check_formats, check_recording
 from mocap_calib.io.results.group import REPORT
-from mocap_calib.io.results.pair_store import remember_pairs
+from mocap_calib.io.results.pairs_json import remember_pairs
 from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
 from mocap_calib.job.results import UNFINISHED, WrittenGroup, remove_unfinished, write_result
 from mocap_calib.lift.lifter import Lifter, identify_model, load_model

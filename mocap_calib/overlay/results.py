@@ -11,13 +11,13 @@ from mocap_calib.clocks.estimate import own_frames
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.formats import own_cameras
 from mocap_calib.io.formats.own_cameras import SUBFRAME
 from mocap_calib.io.pose_files import load_poses
 from mocap_calib.io.poses import PoseFile
 from mocap_calib.io.results.group import REPORT
 from mocap_calib.io.results.matches_csv import parse_matches
 from mocap_calib.io.results.run_json import read_run_json
-from mocap_calib.io.results.stored import provenance_of_cameras
 from mocap_calib.recording.sampling import usual_step
 from mocap_calib.report import SCHEMA
 from mocap_calib.results import NO_FRAME
@@ -63,7 +63,7 @@ def read_results(folder: Path) -> Results:
     report = read_run_json(folder / REPORT, SCHEMA)
     faults = {each["name"]: each["fault_evidence"] for each in report["cameras"]}
     table = folder / "matches.csv"
-    offsets = provenance_of_cameras(folder / "cameras.yaml").get(SUBFRAME, {})
+    offsets = own_cameras.stored_provenance(folder / "cameras.yaml").get(SUBFRAME, {})
     cameras, rows = parse_matches(decode(read_bytes(table), str(table)), str(table))
     individuals: dict[str, dict[tuple[int, int], int]] = {}
     for camera, (frame, instance, individual) in zip(cameras, rows.tolist(), strict=True):

@@ -4,9 +4,11 @@ Every float is written with as many digits as bring it back exactly.
 """
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -214,6 +216,28 @@ def _dump_yaml(fields: Mapping[str, Any], *, flow: bool | None) -> str:
         allow_unicode=unicode_as_is,
         width=160,
     )
+
+
+def stored_provenance(path: Path) -> dict[str, Any]:
+    """Return the provenance in a file of ours, and the offsets of the clocks beside it.
+
+    It is what `write` takes. What was edited into something else is left out. Raises FormatError.
+    """
+    tree = Document(path).tree
+    stored = tree if isinstance(tree, Mapping) else {}
+    cameras = stored.get("cameras")
+    offsets = {
+        str(camera["name"]): float(camera[SUBFRAME])
+        for camera in (cameras if isinstance(cameras, list) else ())
+        if isinstance(camera, Mapping) and "name" in camera and _is_number(camera.get(SUBFRAME))
+    }
+    provenance = stored.get("provenance")
+    known = dict(provenance) if isinstance(provenance, Mapping) else {}
+    return known | ({SUBFRAME: offsets} if offsets else {})
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
 
 
 FORMAT = Format(

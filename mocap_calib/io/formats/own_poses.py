@@ -165,6 +165,17 @@ def _read_edges(file: h5py.File, keypoints: int, source: str) -> tuple[tuple[int
     return tuple((int(a), int(b)) for a, b in edges)
 
 
+def stored_provenance(path: Path) -> dict[str, Any]:
+    """Return the provenance in a file of ours, nothing where it was edited."""
+    with h5py.File(path, "r") as file:
+        text = file.attrs.get("provenance", "{}")
+    try:
+        found = json.loads(text)
+    except (ValueError, TypeError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 # --- writing
 
 

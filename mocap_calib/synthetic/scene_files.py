@@ -13,7 +13,6 @@ import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from mocap_calib.io.atomic import write_files
 from mocap_calib.io.formats.anipose import format_calibration_toml, format_intrinsics_toml
 from mocap_calib.io.formats.coco import format_coco
 from mocap_calib.recording.names import compose_name
-from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
+from mocap_calib.synthetic.scene import Scene
 
 _COMMANDS = """\
 In this folder:
@@ -33,35 +32,7 @@ In this folder:
 """
 
 
-class SceneLike(Protocol):
-    """What of a scene is written; `synthetic.Scene` is one (a layer above this one)."""
-
-    @property
-    def rig(self) -> CameraRig:
-        """Cameras and where they stand."""
-
-    @property
-    def files(self) -> tuple[Keypoints2D, ...]:
-        """`[view]` the detections."""
-
-    @property
-    def identity(self) -> Ints:
-        """`[view, frame, instance]` who each detection is, -1 = nobody."""
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the joints of `poses`."""
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """`[individual]` "people", "quadruped", ..."""
-
-    @property
-    def poses(self) -> Floats:
-        """`[frame, individual, joint, 3]` true bodies."""
-
-
-def write_scene(path: Path, scene: SceneLike, command: str) -> None:
+def write_scene(path: Path, scene: Scene, command: str) -> None:
     """Write a scene into the folder `path`, whole or not at all.
 
     command: says how to make it again.
@@ -93,7 +64,7 @@ def check_own_files(path: Path, files: Mapping[str, bytes]) -> None:
             )
 
 
-def scene_files(scene: SceneLike, command: str) -> dict[str, bytes]:
+def scene_files(scene: Scene, command: str) -> dict[str, bytes]:
     """Return the files of a scene: relative path -> content."""
     texts = {f"keypoints/{file.camera}.json": format_coco(file) for file in scene.files}
     texts["intrinsics.toml"] = format_intrinsics_toml(scene.rig.cameras)
@@ -114,7 +85,7 @@ def describe_kinds(kinds: Sequence[str]) -> str:
     )
 
 
-def _pack_truth(scene: SceneLike) -> bytes:
+def _pack_truth(scene: Scene) -> bytes:
     """Return the truth as an npz archive; float32 keeps a micrometre of a room.
 
     numpy fixes the archive's dates, so that the same scene gives the same bytes.
