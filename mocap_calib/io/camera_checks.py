@@ -123,34 +123,20 @@ def _check_matrix(value: Any, size: tuple[int, int], source: str) -> Floats:
         found = f"shape {matrix.shape}"
         raise FormatError(source, "a finite 3 x 3 camera matrix", found, remedy)
     if (matrix[2, :2] != 0).any() or matrix[2, 2] != 1 or matrix[1, 0] != 0:
-        raise FormatError(
-            source,
-            "a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
-            matrix.tolist(),
-            "transpose it if it came from MATLAB",
-        )
+        expected = "a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        advice = "transpose it if it came from MATLAB"
+        raise FormatError(source, expected, matrix.tolist(), advice)
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
         found = matrix[[0, 1], [0, 1]].tolist()
         raise FormatError(source, "positive focal lengths", found, remedy)
-    _check_skew(matrix, size, source)
-    matrix[0, 1] = 0.0
-    return matrix
-
-
-def _check_skew(matrix: Floats, size: tuple[int, int], source: str) -> None:
-    """Raise FormatError where the skew of a `[3, 3]` camera matrix can be seen.
-
-    OpenCV's pinhole model has no skew and drops it silently; COLMAP's fisheye model has none
-    either.
-    """
+    # OpenCV's pinhole model drops a skew silently, and COLMAP's fisheye model has none
     moved = skew_in_pixels(matrix, size[1])
     if moved > _UNSEEN or abs(matrix[0, 1]) > _SKEWED * matrix[0, 0]:
-        raise FormatError(
-            source,
-            "a camera matrix without skew",
-            f"skew {matrix[0, 1]:.6g}, which moves pixels by up to {moved:.2g}",
-            "calibrate without skew, or write 0 where that is near enough",
-        )
+        found = f"skew {matrix[0, 1]:.6g}, which moves pixels by up to {moved:.2g}"
+        advice = "calibrate without skew, or write 0 where that is near enough"
+        raise FormatError(source, "a camera matrix without skew", found, advice)
+    matrix[0, 1] = 0.0
+    return matrix
 
 
 def _check_distortion(value: Any, fisheye: bool, source: str) -> Floats:
@@ -160,7 +146,11 @@ def _check_distortion(value: Any, fisheye: bool, source: str) -> Floats:
     """
     given = numbers([] if value is None else value, "distortion coefficients", source).reshape(-1)
     if not fisheye and len(given) in _LONG_LENGTHS:
-        given = _without_prism(given, source)
+        if (given[8:] != 0).any():
+            expected = "at most 8 distortion coefficients that are not 0"
+            found = f"thin-prism or tilt terms {given[8:].tolist()}"
+            raise FormatError(source, expected, found, "calibrate without thin prism and tilt")
+        given = given[:8]
     lengths = _FISHEYE_LENGTHS if fisheye else _PINHOLE_LENGTHS
     used = int(np.flatnonzero(given).max(initial=-1)) + 1
     room = 4 if fisheye else 5
@@ -175,12 +165,3 @@ def _check_distortion(value: Any, fisheye: bool, source: str) -> Floats:
     padded = np.zeros(room)
     padded[:used] = given[:used]
     return padded
-
-
-def _without_prism(given: Floats, source: str) -> Floats:
-    """Return the first 8 of `[12 | 14]` coefficients, where the others are 0."""
-    if (given[8:] != 0).any():
-        expected = "at most 8 distortion coefficients that are not 0"
-        found = f"thin-prism or tilt terms {given[8:].tolist()}"
-        raise FormatError(source, expected, found, "calibrate without thin prism and tilt")
-    return given[:8]

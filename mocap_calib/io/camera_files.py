@@ -168,16 +168,15 @@ def looks_like_cameras(path: Path | bytes) -> bool:
 def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile:
     """Read a folder that is one format's files, a run's results, or has a file per camera."""
     files = _list_files(path, FOLDER_ENDINGS)
-    if not files:
-        raise _no_camera_files(path, FOLDER_ENDINGS, "none")
     folder = Document(path, members=tuple(files))
     if _OWN in folder.names and set(folder.names) & _BESIDE_OWN:
         return load_cameras(path / _OWN, format, unit)
-    if shown := sniff(CAMERA_FORMATS, folder, format):
+    if files and (shown := sniff(CAMERA_FORMATS, folder, format)):
         return load_document(replace(folder, format=shown), format, unit)
     single = [file for file in files if file.suffix.lower() in ONE_CAMERA_ENDINGS]
     if not single:
-        raise _no_camera_files(path, ONE_CAMERA_ENDINGS, ", ".join(folder.names))
+        expected = f"camera files ({', '.join(FOLDER_ENDINGS)}) in the folder"
+        raise folder.refuse(expected, ", ".join(folder.names) or "none", "give the file itself")
     parts = [load_document(Document(file), format, unit) for file in single]
     units = sorted({each.unit for each in parts})
     if len(units) > 1:
@@ -200,11 +199,6 @@ def _list_files(path: Path, endings: tuple[str, ...]) -> list[Path]:
         for file in path.iterdir()
         if file.suffix.lower() in endings and file.is_file() and not file.name.startswith(".")
     )
-
-
-def _no_camera_files(path: Path, endings: tuple[str, ...], found: str) -> FormatError:
-    expected = f"camera files ({', '.join(endings)}) in the folder"
-    return FormatError(str(path), expected, found, "give the file itself")
 
 
 def _complete(found: CameraFile, form: Format, document: Document, unit: str | None) -> CameraFile:

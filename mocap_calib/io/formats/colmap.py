@@ -9,6 +9,8 @@ reads in a process of its own, as models are other people's files.
 
 import tempfile
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +21,11 @@ from mocap_calib.io.format import Format, Written
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import ARBITRARY, CameraRig
 
-# the camera models that have a lens of ours, and whether that is cv2.fisheye's
-LENSES = {
-    "SIMPLE_PINHOLE": False,
-    "PINHOLE": False,
-    "SIMPLE_RADIAL": False,
-    "RADIAL": False,
-    "OPENCV": False,
-    "FULL_OPENCV": False,
-    "OPENCV_FISHEYE": True,
-    "SIMPLE_RADIAL_FISHEYE": True,
-    "RADIAL_FISHEYE": True,
-}
+# the camera models that have a lens of ours; those of a FISHEYE have cv2.fisheye's
+LENSES = (
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"),
+    *("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"),
+)
 _BINARY, _TEXT = ".bin", ".txt"
 _CAMERAS, _IMAGES, _POINTS = "cameras", "images", "points3D"
 _FILES = (_CAMERAS, _IMAGES, _POINTS, "rigs", "frames")
@@ -41,6 +36,7 @@ _UNIT_LENGTH = 40  # characters at most
 _LINE_OF_POINTS = b"\n\n"
 _NO_SPACES = (r"[^\s\x00-\x1f\x7f-\xa0\ud800-\udfff]+", "no spaces")
 _WITH_SPACES = "rename the camera, or write colmap-binary, which can hold spaces"
+_check = partial(check_rig, fisheye=True, sizes="needed")
 _NO_CONTROLS = (r"[^\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "no control characters")
 
 
@@ -118,52 +114,32 @@ def _read_model(folder: Path, with_images: bool, unit: str, source: str) -> Came
 
 def write_binary(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPoints) -> Written:
     """Write a binary model; an image is called NAME.png. Raises MismatchError."""
-    lost = check_rig(
-        rig,
-        provenance,
-        "colmap-binary",
-        fisheye=True,
-        sizes="needed",
-        names=_NO_CONTROLS,
-        verdict=False,
-    )
+    lost = _check(rig, provenance, "colmap-binary", names=_NO_CONTROLS, verdict=False)
     unit = () if rig.unit == ARBITRARY else ("the unit of length",)
-    return Written(_write(rig, points, _BINARY), (*unit, *_lost_of_points(points), *lost))
+    return _write(rig, points, _BINARY, (*unit, *lost))
 
 
 def write_text(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPoints) -> Written:
     """Write a text model, with the unit; an image is called NAME.png. Raises MismatchError."""
-    lost = check_rig(
-        rig,
-        provenance,
-        "colmap",
-        fisheye=True,
-        sizes="needed",
-        names=_NO_SPACES,
-        remedy=_WITH_SPACES,
-    )
-    files = _write(rig, points, _TEXT)
-    unit = b"%s %s\n" % (_UNIT, rig.unit.encode())
-    files[_CAMERAS + _TEXT] = unit + files[_CAMERAS + _TEXT]
-    return Written(files, (*_lost_of_points(points), *lost))
+    lost = _check(rig, provenance, "colmap", names=_NO_SPACES, remedy=_WITH_SPACES)
+    written = _write(rig, points, _TEXT, lost)
+    cameras, unit = _CAMERAS + _TEXT, b"%s %s\n" % (_UNIT, rig.unit.encode())
+    return replace(written, files={**written.files, cameras: unit + written.files[cameras]})
 
 
-def _write(rig: CameraRig, points: ObservedPoints, ending: str) -> dict[str, bytes]:
-    """Return the files of a model with this ending."""
+def _write(rig: CameraRig, points: ObservedPoints, ending: str, lost: tuple[str, ...]) -> Written:
+    """Write the files of a model with this ending."""
     from mocap_calib.io.formats import colmap_model  # noqa: PLC0415 - takes 0.3 s
 
     with colmap_model.silent_colmap(), tempfile.TemporaryDirectory() as work:
         model = colmap_model.build_model(rig, points)
         write = model.write_binary if ending == _BINARY else model.write_text
         write(work)
-        return {file + ending: (Path(work) / (file + ending)).read_bytes() for file in _FILES}
-
-
-def _lost_of_points(points: ObservedPoints) -> tuple[str, ...]:
-    """Return what a model does not hold of its points."""
-    if not len(points.positions):
-        return ()
-    return ("frame, individual and keypoint of a point (the points are in this order)",)
+        files = {file + ending: (Path(work) / (file + ending)).read_bytes() for file in _FILES}
+    if len(points.positions):
+        what = "frame, individual and keypoint of a point (the points are in this order)"
+        lost = (*lost, what)
+    return Written(files, lost)
 
 
 BINARY = Format(

@@ -120,7 +120,7 @@ def _lens(camera: pycolmap.Camera, source: str) -> RawCamera:
         size=[camera.width, camera.height],
         matrix=pinhole_matrix(focal[0], focal[-1], *middle),
         distortion=params[camera.extra_params_idxs()],  # in OpenCV's order, as many as there are
-        fisheye=LENSES[name],
+        fisheye="FISHEYE" in name,
     )
 
 

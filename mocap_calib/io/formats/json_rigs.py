@@ -64,7 +64,7 @@ def read_panoptic(document: Document) -> CameraFile:
     found = entries(_Panoptic, data["cameras"], document.source, "cameras with K and distCoef")
     raws = (
         RawCamera(
-            name=number if each.name is None else str(each.name),
+            name=str(each.name or number),
             size=each.resolution,
             matrix=each.K,
             distortion=each.distCoef,
@@ -128,7 +128,7 @@ def read_voxelpose(document: Document) -> CameraFile:
     expected = "cameras by number with R, T, fx, fy, cx and cy"
     raws = (
         RawCamera(
-            name=number if each.name is None else str(each.name),
+            name=str(each.name or number),
             matrix=pinhole_matrix(each.fx, each.fy, each.cx, each.cy),
             distortion=_voxelpose_terms(each, f"{document.source}: camera {number}"),
             rotation=each.R,

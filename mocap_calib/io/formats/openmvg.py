@@ -10,7 +10,7 @@
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
@@ -45,6 +45,7 @@ _FOCAL_TOLERANCE = 1e-3  # of the focal length: half a pixel at the edge of a co
 # cereal's marks of an object that comes for the first time, and of a class without a name
 _FIRST_TIME = 2147483648
 _NO_NAME = 1073741824
+T = TypeVar("T")
 _EXPECTED = "sfm_data with views, intrinsics and extrinsics"
 
 
@@ -80,20 +81,15 @@ class _Object(msgspec.Struct):
     polymorphic_name: str = ""
 
 
-class _Item(msgspec.Struct):
+class _Item(msgspec.Struct, Generic[T]):
     key: int
-    value: _Object
-
-
-class _PoseItem(msgspec.Struct):
-    key: int
-    value: _Pose
+    value: T
 
 
 class _File(msgspec.Struct):
-    views: list[_Item]
-    intrinsics: list[_Item]
-    extrinsics: list[_PoseItem] | None = None
+    views: list[_Item[_Object]]
+    intrinsics: list[_Item[_Object]]
+    extrinsics: list[_Item[_Pose]] | None = None
     unit: Any = ""
     provenance: Any = None
 
