@@ -1,7 +1,7 @@
 """What keypoint files hold, as plain numbers and texts that JSON can take."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -9,11 +9,56 @@ import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.geometry.rotation import mean_of_known
-from mocap_calib.inspection.finding import InspectConfig
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.names import keypoint_meanings, views_named
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Camera, Floats, Ints, Keypoints2D, Reals, Skeleton
+
+
+@dataclass(frozen=True)
+class InspectConfig:
+    """What `inspect` warns of.
+
+    cells: of the grid over the image, each way.
+    outside: share of the points outside the image.
+    enough_frames: that a camera sees together with another one. The worst of four simulated scenes
+        (four cameras, one walker) is 3.0 deg off with 3 frames, 2.2 with 6, 2.1 with 10, and 0.5
+        with 20. Fewest in a shared recording: 20.
+    low_confidence: of half of the points.
+    copied: detections that two files have in common; `run` refuses only what is certain.
+    gaps: share of the frame numbers between the first and the last.
+    motion_frames, motion_percentile: what `measure_motion` compares.
+    least_motion: median over the cameras of what that returns. Measured: 0.05 of a mouse that sits
+        (a rig 19 deg off), 0.21 of a tethered fly, 0.36 and more in the other recordings, 0.45 of
+        three people who sit; simulated, 0.02 to 0.07 where one frame is repeated with 1 to 3 px of
+        noise, 0.16 to 0.22 where somebody walks on the spot, 0.3 and more where people go about
+        for 10 frames, 0.8 and more for 60.
+    single_share: of the frames in which two views see somebody, that show each of them one body.
+    compared_frames, most_pairs: of two views, that `inspection.view_pairs` compares, and of views.
+    least_matches, most_matches: joints of these.
+    most_error: of two views whose images of one subject go together. Measured: 0.04 in shared
+        recordings, 0.2 and more where keypoints are noise.
+    least_depth: median over pairs of views of the error of a homography over that of a fundamental
+        matrix. Measured: 9.4 and more in shared recordings, 5.0 and more in simulated ones, 2.1 to
+        2.9 where all that is seen lies in a plane.
+    """
+
+    cells: int = 10
+    outside: float = 0.01
+    enough_frames: int = 20
+    low_confidence: float = 0.1
+    copied: int = 1
+    gaps: float = 0.1
+    motion_frames: int = 40
+    motion_percentile: float = 90.0
+    least_motion: float = 0.1
+    single_share: float = 0.9
+    compared_frames: int = 1000
+    most_pairs: int = 30
+    least_matches: int = 100
+    most_matches: int = 2000
+    most_error: float = 0.1
+    least_depth: float = 3.0
 
 
 def inspect_views(
@@ -67,7 +112,7 @@ def _describe_camera(view: Keypoints2D, config: InspectConfig) -> dict[str, Any]
     """Return what one file holds."""
     seen = seen_points(view)
     detected: Bools = np.asarray(seen.any(-1))  # [frame, instance]
-    in_frame = detected.sum(axis=1)
+    in_frame, points = detected.sum(axis=1), int(seen.sum())
     ever: Bools = np.asarray(seen.any((0, 1)))  # [keypoint]
     return {
         "name": view.camera,
@@ -79,10 +124,16 @@ def _describe_camera(view: Keypoints2D, config: InspectConfig) -> dict[str, Any]
         "empty_frames": int((in_frame == 0).sum()),
         "keypoints": list(view.keypoints),
         "never_seen": [name for name, found in zip(view.keypoints, ever, strict=True) if not found],
-        "points": int(seen.sum()),
-        "missing": _describe_missing(view.missing, int(seen.sum())),
+        "points": points,
+        "missing": {
+            name: {"points": count, "share": count / (points + sum(view.missing.values()))}
+            for name, count in view.missing.items()
+        },
         "motion": measure_motion(view, config),
-        "confidence": _describe_scores(view.confidence[seen]),
+        "confidence": {
+            name: float(np.quantile(view.confidence[seen], share)) if points else None
+            for name, share in {"least": 0.0, "median": 0.5, "most": 1.0}.items()
+        },
         "image": _describe_image(view.positions[seen], view.image_size, config),
         "remarks": list(view.remarks),
     }
@@ -96,24 +147,6 @@ def _describe_frames(frames: Ints) -> dict[str, Any]:
     return {"count": len(frames), "first": first, "last": last, "gaps": gaps}
 
 
-def _describe_missing(missing: Mapping[str, int], points: int) -> dict[str, Any]:
-    """Return the number and the share of missing points, by how the file marks them.
-
-    points: how many are not missing.
-    """
-    total = points + sum(missing.values())
-    return {name: {"points": count, "share": count / total} for name, count in missing.items()}
-
-
-def _describe_scores(scores: Reals) -> dict[str, float | None]:
-    """Return the least, the median and the largest of scores `[N]`; None where there are none."""
-    quantiles = {"least": 0.0, "median": 0.5, "most": 1.0}
-    return {
-        name: float(np.quantile(scores, share)) if len(scores) else None
-        for name, share in quantiles.items()
-    }
-
-
 def _describe_image(points: Reals, size: tuple[int, int], config: InspectConfig) -> dict[str, Any]:
     """Return the size of the image, the span of the points `[N, 2]`, and how they lie in it.
 
@@ -123,29 +156,19 @@ def _describe_image(points: Reals, size: tuple[int, int], config: InspectConfig)
     if not len(points):
         nothing = {"least": None, "most": None, "covered": 0.0, "outside": 0.0}
         return {"size": list(size), **nothing}
-    least = points.min(axis=0)
-    most = points.max(axis=0)
-    low, high = least, most
+    low, high = least, most = points.min(axis=0), points.max(axis=0)
     if size != (0, 0):
         low, high = np.zeros(2), np.array(size, dtype=float)
     inside: Bools = ((points >= low) & (points <= high)).all(-1)
+    extent = np.maximum(high - low, 1e-9)
+    cell = ((points[inside] - low) / extent * config.cells).astype(np.int64)
     return {
         "size": list(size),
         "least": least.tolist(),
         "most": most.tolist(),
-        "covered": _covered_share(points[inside], low, high, config.cells),
+        "covered": len(np.unique(cell.clip(0, config.cells - 1), axis=0)) / config.cells**2,
         "outside": float((~inside).mean()),
     }
-
-
-def _covered_share(points: Reals, low: Floats, high: Floats, cells: int) -> float:
-    """Return the share of the cells of a grid that have any of the points `[N, 2]`.
-
-    low, high: `[2]` corners of the grid.
-    """
-    extent = np.maximum(high - low, 1e-9)
-    cell = ((points - low) / extent * cells).astype(np.int64).clip(0, cells - 1)
-    return len(np.unique(cell, axis=0)) / cells**2
 
 
 # --- two cameras

@@ -1,4 +1,4 @@
-"""What views show together, before anything is calibrated: frame numbers, and the rig's geometry.
+"""The geometry of two views from what both show, before anything is calibrated.
 
 Where each camera sees one body, matches are known. From them follow, without intrinsics, the
 fundamental matrix and the epipoles: where each camera has the other one in its image (Hartley and
@@ -6,149 +6,20 @@ Zisserman 2004, sections 9.2 and 11.1). If a homography explains the matches as 
 lie in one plane.
 """
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.errors import argument, count
 from mocap_calib.geometry.epipolar import fundamental_matrix
 from mocap_calib.geometry.rotation import mean_of_known
-from mocap_calib.inspection.finding import Finding, InspectConfig, critical, warning
+from mocap_calib.inspection.contents import InspectConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Keypoints2D
 
-
-def find_clock_problems(
-    usable: Sequence[Keypoints2D], pairs: Sequence[Mapping[str, Any]], config: InspectConfig
-) -> list[Finding]:
-    """Name the frame numbers that do not go together. pairs: of the report."""
-    names = {view.camera for view in usable}
-    pairs = [pair for pair in pairs if _names(pair) <= names]
-    if not pairs:
-        return []
-    most = max(pair["covisible"] for pair in pairs)
-    if most == 0:
-        return [
-            critical(
-                f"no two cameras see anything in the same frame ({_frame_ranges(usable)}); number "
-                f"the frames of all cameras on one clock ({argument('frame_offset')}), or check "
-                "that the files are of one recording"
-            )
-        ]
-    return [
-        *_find_little_overlap(usable, pairs, config),
-        *_find_lonely_cameras(usable, pairs),
-        *_find_separate_groups(usable, pairs),
-        *_find_other_frames(usable),
-    ]
-
-
-def _find_little_overlap(
-    usable: Sequence[Keypoints2D], pairs: Sequence[Mapping[str, Any]], config: InspectConfig
-) -> list[Finding]:
-    """Name the cameras that see too little together with any other. pairs: of the report."""
-    enough = config.enough_frames
-    if max(pair["covisible"] for pair in pairs) < enough:
-        return [
-            warning(
-                f"no two cameras see something together in {enough} frames or more; record longer"
-            )
-        ]
-    most = {
-        view.camera: max(pair["covisible"] for pair in pairs if view.camera in _names(pair))
-        for view in usable
-    }
-    return [
-        warning(
-            f"{name}: sees something together with another camera in {count(frames, 'frame')}, "
-            f"expected {enough} or more; record longer, or let somebody pass where both see"
-        )
-        for name, frames in most.items()
-        if 0 < frames < enough
-    ]
-
-
-def _find_separate_groups(
-    usable: Sequence[Keypoints2D], pairs: Sequence[Mapping[str, Any]]
-) -> list[Finding]:
-    """Say which cameras no chain of pairs joins that see something together.
-
-    pairs: of the report. Cameras that see nothing together with any other are left out.
-    """
-    groups = [{view.camera} for view in usable]
-    for pair in pairs:
-        if pair["covisible"]:
-            joined = [group for group in groups if group & _names(pair)]
-            groups = [group for group in groups if group not in joined] + [set().union(*joined)]
-    groups = [group for group in groups if len(group) > 1]
-    if len(groups) < 2:
-        return []
-    in_order = [[view.camera for view in usable if view.camera in group] for group in groups]
-    listed = " | ".join(", ".join(names) for names in in_order)
-    return [
-        warning(
-            f"{len(groups)} groups of cameras see nothing in the same frames ({listed}), and will "
-            "be calibrated each by itself; let somebody go from one to the other"
-        )
-    ]
-
-
-def _names(pair: Mapping[str, Any]) -> set[str]:
-    """Return the names of the two cameras of a pair of the report."""
-    return {pair["a"], pair["b"]}
-
-
-def _find_lonely_cameras(
-    usable: Sequence[Keypoints2D], pairs: Sequence[Mapping[str, Any]]
-) -> list[Finding]:
-    """Name the cameras that see nothing together with another. pairs: of the report."""
-    covisible = [pair for pair in pairs if pair["covisible"]]
-    in_company = {pair[side] for pair in covisible for side in ("a", "b")}
-    return [
-        warning(
-            f"{view.camera}: sees nothing in a frame in which another camera does, "
-            "and will be left out; check its frame numbers"
-        )
-        for view in usable
-        if view.camera not in in_company
-    ]
-
-
-def _find_other_frames(usable: Sequence[Keypoints2D]) -> list[Finding]:
-    """Say where the frame numbers of the views differ, and whether some may count from 1."""
-    starts = {int(view.frames[0]) for view in usable}
-    lengths = {len(view.frames) for view in usable}
-    ranges = _frame_ranges(usable)
-    first, second = min(starts), max(starts)
-    if len(starts) == 2 and second - first == 1 and len(lengths) == 1:
-        late = next(view.camera for view in usable if view.frames[0] == second)
-        return [
-            warning(
-                f"equally long recordings start at frame {first} and at frame {second} "
-                f"({ranges}); say {argument('frame_offset', f'{late}:-1')} for each such camera, "
-                "if they count from 1"
-            )
-        ]
-    ends = {(int(view.frames[0]), int(view.frames[-1])) for view in usable}
-    if len(ends) == 1:
-        return []
-    return [
-        warning(
-            f"the cameras' frames differ ({ranges}); only frames that two of them have are used"
-        )
-    ]
-
-
-def _frame_ranges(usable: Sequence[Keypoints2D]) -> str:
-    """Return the first and the last frame number of each view as a text."""
-    return ", ".join(f"{view.camera} {view.frames[0]}-{view.frames[-1]}" for view in usable)
-
-
 _TINY = 1e-9  # of an error, of a size in pixels
+_STEPS = 6  # of reweighting
 
 
 @dataclass(frozen=True)
@@ -165,63 +36,6 @@ class TwoViews:
     plane_error: float
     epipole: float
     mirrored: bool
-
-
-def find_poor_views(
-    usable: Sequence[Keypoints2D],
-    pairs: Sequence[Mapping[str, Any]],
-    meanings: Mapping[str, str],
-    config: InspectConfig,
-) -> list[Finding]:
-    """Warn of a single subject that lies in one plane, and of two cameras that look at each other.
-
-    Of these only where no third camera sees the same.
-
-    pairs: of the report. meanings: of the names of keypoints.
-    """
-    view_of = {view.camera: view for view in usable}
-    together = [
-        (pair["a"], pair["b"])
-        for pair in pairs
-        if pair["covisible"] >= config.enough_frames and {pair["a"], pair["b"]} <= set(view_of)
-    ]
-    alone = _find_alone(together)
-    some = evenly_spaced(np.arange(len(together)), config.most_pairs).tolist()
-    compared = {
-        (a, b): found
-        for a, b in dict.fromkeys([*alone, *(together[k] for k in some)])
-        if (found := compare_views(view_of[a], view_of[b], meanings, config)) is not None
-        and found.error < config.most_error
-    }
-    if not compared:
-        return []
-    depth = np.median([found.plane_error / found.error for found in compared.values()])
-    if depth < config.least_depth:
-        return [
-            warning(
-                "all that was seen may as well lie in one plane, or the cameras stand side by "
-                "side, so that other rigs would fit, too; let the subject come closer, rise, jump "
-                "or tilt, or move the cameras apart"
-            )
-        ]
-    return [
-        warning(
-            f"{a} and {b} look at each other, and no third camera sees the same: points between "
-            "them will be uncertain along that line; add a camera that looks from the side, or let "
-            "the subject keep off the line"
-        )
-        for (a, b), found in compared.items()
-        if found.mirrored and found.epipole < 1 and (a, b) in alone
-    ]
-
-
-def _find_alone(together: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return the pairs of cameras of which neither sees enough together with a third one.
-
-    together: the pairs that do.
-    """
-    number = Counter(name for pair in together for name in pair)
-    return [(a, b) for a, b in together if number[a] == number[b] == 1]
 
 
 def compare_views(
@@ -298,9 +112,6 @@ def sampson_distance(matrix: Floats, points_a: Floats, points_b: Floats) -> Floa
     line_b, line_a = points_a @ matrix.T, points_b @ matrix
     slope = (line_b[:, :2] ** 2).sum(1) + (line_a[:, :2] ** 2).sum(1)
     return np.asarray((line_b * points_b).sum(1) / np.sqrt(np.maximum(slope, 1e-18)))
-
-
-_STEPS = 6  # of reweighting
 
 
 def homography_errors(points: Floats, images: Floats) -> Floats:

@@ -64,8 +64,8 @@ def command(typed: Typed) -> int:
 
 def _inspect(typed: Typed) -> dict[str, Any]:
     """Return what the files hold, and the findings."""
-    from mocap_calib.inspection import Finding, fill_image_sizes, find_problems, inspect_views
-    from mocap_calib.inspection.finding import InspectConfig
+    from mocap_calib.inspection.contents import InspectConfig, fill_image_sizes, inspect_views
+    from mocap_calib.inspection.problems import Finding, find_problems
     from mocap_calib.io.filled_table import describe_filled
     from mocap_calib.io.keypoints import read_what_can
     from mocap_calib.recording.joints import fit_vocabulary
