@@ -1,10 +1,12 @@
-"""Real files of other programs, where they lie beside the checkout: their counts, or the refusal.
+"""Real files of other programs: their counts, or the refusal.
 
-`real_files.tsv` has a row a file. Cameras of keypoints are name:frames:first-last:most instances at
-once:keypoints:points; options are the number of names of a layout, and what else the user says.
+MOCAP_CALIB_SAMPLES names their folder. `real_files.tsv` has a row a file. Cameras of keypoints are
+name:frames:first-last:most instances at once:keypoints:points; options are the number of names of a
+layout, and what else the user says.
 """
 
 import csv
+import os
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +15,10 @@ from scipy.io import loadmat
 
 import mocap_calib as mc
 
-SAMPLES = Path(__file__).parents[3] / "shared" / "formats" / "samples"
-pytestmark = pytest.mark.skipif(not SAMPLES.is_dir(), reason="no ../shared here")
+SAMPLES = Path(os.environ.get("MOCAP_CALIB_SAMPLES", "none"))
+pytestmark = pytest.mark.skipif(
+    not SAMPLES.is_dir(), reason="MOCAP_CALIB_SAMPLES names no folder of real files"
+)
 with Path(__file__).with_name("real_files.tsv").open(encoding="utf-8") as table:
     ROWS = list(csv.DictReader(table, delimiter="\t", quoting=csv.QUOTE_NONE))
 
