@@ -1,5 +1,6 @@
 """What several test files share: the command, and one run of it on a small recording."""
 
+import importlib.util
 import os
 import signal
 import subprocess
@@ -7,16 +8,15 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import torch
 from forked_command import ForkedCommand
-from scenes import scene
 from threadpoolctl import threadpool_limits
 
 import mocap_calib as mc
 from mocap_calib.io.crash_guard import end_calls
-from mocap_calib.synthetic.scene_files import write_scene
 
 # as the commands do: further threads of the libraries only spin when the machine has other work
 torch.set_num_threads(1)
@@ -34,6 +34,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the files with the most slow tests first: workers end together if little is left last."""
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
     items.sort(key=lambda item: -slow[item.path])
+
+
+def load_script(path: Path) -> ModuleType:
+    """Import a script that is in no package, and may import others beside it."""
+    sys.path.insert(0, str(path.parent))
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(path.parent))
+    return module
 
 
 @pytest.fixture
@@ -76,11 +88,12 @@ def tool() -> Iterator[Run]:
 
 
 @pytest.fixture(scope="session")
-def small(tmp_path_factory) -> Path:
+def small(tool, tmp_path_factory) -> Path:
     """A recording with truth: 3 cameras, 2 people, 30 frames."""
-    folder = tmp_path_factory.mktemp("small")
-    write_scene(folder / "scene", scene(cameras=3, people=2, frames=30), "made by a test")
-    return folder / "scene"
+    folder = tmp_path_factory.mktemp("small") / "scene"
+    size = ("--cameras", 3, "--people", 2, "--frames", 30)
+    assert tool("simulate", *size, "-o", folder, "-q").returncode == 0
+    return folder
 
 
 @pytest.fixture(scope="session")

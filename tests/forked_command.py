@@ -5,22 +5,19 @@ command runs as it does from a shell: in a process, folder and environment of it
 for its streams. How a command starts from nothing is tested by other tests.
 """
 
-import atexit
 import importlib
 import json
 import os
 import pkgutil
+import runpy
 import socket
 import subprocess
 import sys
-import threading
 import traceback
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NoReturn
-
-from mocap_calib.compute import BLAS_THREADS
 
 # what the commands import; the thread pools of these start when they are first used, not here
 PROGRAM = ("mocap_calib", "mocap_calib_cli")
@@ -28,7 +25,10 @@ LIBRARIES = ("rich.progress", "scipy.optimize", "torch")
 NOT_PRELOADED = (
     "mocap_calib.compute.cluster",  # imports Dask, which few need
     "mocap_calib.io.formats.blender_scene",  # is for Blender's own Python
-    "mocap_calib_cli.__main__",  # runs the command
+)
+# the sums of linear algebra depend on the number of threads, which is read when numpy is imported
+ONE_THREAD = dict.fromkeys(
+    ("MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
 
 
@@ -42,6 +42,7 @@ class ForkedCommand:
                 [sys.executable, __file__, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
+                env=os.environ | ONE_THREAD,
             )
 
     def run(
@@ -96,14 +97,12 @@ def list_modules() -> Iterator[str]:
     """Yield the modules of the program, which are found by importing its packages."""
     for package in map(importlib.import_module, PROGRAM):
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            if found.name not in NOT_PRELOADED:
+            if found.name not in NOT_PRELOADED and not found.name.endswith("__main__"):
                 yield found.name
 
 
 def serve(connection: socket.socket) -> None:
     """Fork a process for each command that comes through the connection."""
-    for name in BLAS_THREADS:
-        os.environ.setdefault(name, "1")  # as the command does before numpy is imported
     for module in (*LIBRARIES, *list_modules()):
         importlib.import_module(module)
     while True:
@@ -131,8 +130,6 @@ def _receive(connection: socket.socket, length: int) -> bytes:
 
 def _become_command(request: dict, descriptors: list[int]) -> NoReturn:
     """Run the command in this process, and end it."""
-    from mocap_calib_cli.main import main
-
     for stream, descriptor in enumerate(descriptors):
         os.dup2(descriptor, stream)
         os.close(descriptor)
@@ -144,20 +141,12 @@ def _become_command(request: dict, descriptors: list[int]) -> NoReturn:
     os.environ.update(request["environment"])
     os.chdir(request["cwd"])
     sys.argv = ["mocap-calib", *request["arguments"]]
-    status = 1
     try:
-        main()
-    except SystemExit as end:
-        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+        runpy.run_module("mocap_calib_cli", run_name="__main__")  # ends the process
     except BaseException:
         traceback.print_exc()
-    finally:
-        threading._shutdown()
-        atexit._run_exitfuncs()
-        for stream in (sys.stdout, sys.stderr):
-            if stream is not None:
-                stream.flush()
-        os._exit(status)
+        sys.stderr.flush()
+    os._exit(1)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The pages: links lead somewhere, commands exist, what is shown works, what is stated holds."""
+"""The pages and the README: links, commands and Python work, and what is stated holds."""
 
 import ast
 import re
@@ -6,21 +6,24 @@ import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
+from xml.etree import ElementTree
 
 import click
+import numpy as np
 import pytest
-from test_documents import load_script
+from conftest import load_script
 
+import mocap_calib as mc
 from mocap_calib.config import VERDICT_LIMITS_DEG
 from mocap_calib.report import SCHEMA
 from mocap_calib.results import FAULT_WORDS, VERDICTS
-from mocap_calib.verdict.checks import CHECKS
-from mocap_calib_cli.main import group
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -45,6 +48,9 @@ def listed(entries: list[dict]) -> Iterator[str]:
     for entry in entries:
         for target in entry.values():
             yield from listed(target) if isinstance(target, list) else [target]
+
+
+GROUP = load_script(DOCS / "make_cli.py").group
 
 
 def test_every_page_is_in_the_navigation():
@@ -76,7 +82,7 @@ def test_commands_that_pages_show_exist(page):
     for name, *words in commands(page):
         if name.startswith("-"):
             continue
-        command = group.get_command(click.Context(group), name)
+        command = GROUP.get_command(click.Context(GROUP), name)
         assert command is not None, name
         context = click.Context(command)
         command.make_parser(context).parse_args(words)  # raises NoSuchOption
@@ -104,7 +110,135 @@ def test_the_first_calibration(small, tool, tmp_path):
     assert read.stdout.startswith("m ")
 
 
+# --- the first thing a newcomer sees
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not (ROOT / ".venv" / "installed").exists() or not shutil.which("make"),
+    reason="not the environment that make makes",
+)
+def test_demo():
+    said = subprocess.run(["make", "demo"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stderr
+    median, largest = (
+        float(re.search(rf"^{name} +(\S+)", said.stdout, re.M).group(1))
+        for name in ("median", "max")
+    )
+    assert median < 0.1  # measured 0.02 degrees
+    assert largest < 0.2  # 0.04
+    assert "3 individuals in 200 of 200 frames" in said.stderr
+    assert "the results are in out/demo" in said.stdout
+    listed = said.stdout.split("the results are in out/demo")[1]
+    for name in ("cameras.yaml", "poses3d.h5", "matches.csv", "run.json", "report.html"):
+        assert name in listed
+
+
+# --- Python in pages
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """A folder to work in, with the files that the pages name; two people who are followed."""
+    config = mc.SimulateConfig(cameras=3, people=2, frames=30, false_detections=0)
+    made = mc.simulate(config)
+    mc.write(made.files, tmp_path / "keypoints", format="coco")
+    mc.write(made.rig, tmp_path / "reference.toml")
+    mc.write(made.rig, tmp_path / "intrinsics.toml")
+    for view in mc.simulate(replace(config, shuffle=False)).files:
+        path = tmp_path / "videos" / f"{view.camera}DLC_resnet50.csv"
+        mc.write(replace(view, tracked=True), path, format="deeplabcut-csv")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_readme(folder):
+    """Measured: what is projected comes back within 1e-11 of a body."""
+    (block,) = blocks(ROOT / "README.md", "python")
+    assert len(re.findall(r"^(?:import|from) ", block, flags=re.MULTILINE)) == 1
+    names = {}
+    exec(block, names)
+    poses, points = names["poses"], names["points"]
+    assert names["pixels"].shape == (3, *poses.positions.shape[:-1], 2)
+    np.testing.assert_allclose(points, poses.positions, rtol=0, atol=1e-9)
+    rig = mc.read_rig(folder / "calibration.toml")
+    np.testing.assert_allclose(rig.rotation, names["rig"].rotation, atol=1e-12)
+    assert (folder / "out" / "run.json").is_file()
+
+
+@pytest.mark.slow
+def test_page(folder, capsys):
+    """Every block works, after those before it; the rig is the true one (measured 0.1 degrees)."""
+    pytest.importorskip("xarray")
+    names = {}
+    for block in blocks(DOCS / "python.md", "python"):
+        exec(block, names)
+    assert names["group"].verdict in capsys.readouterr().out
+    assert np.degrees(names["evaluation"].rotation_error).max() < 0.5
+    np.testing.assert_allclose(names["corner_point"], [0, 0, 6], atol=1e-9)
+    centres = names["metric_rig"].centres
+    assert np.linalg.norm(centres[0] - centres[1]) == pytest.approx(6.12)
+    # the same rig and the same detections; the file has the rig with all digits
+    assert names["matches"] == names["group"].matches
+    staged = names["staged_rig"]  # in the world of the first camera
+    assert np.degrees(mc.evaluate(staged, names["rig"]).rotation_error).max() < 0.05
+    assert names["filtered"].positions.shape == names["staged_poses"].positions.shape
+    written = {path.name for path in folder.iterdir()}
+    assert {"Calib.toml", "model", "poses_0.trc", "poses_1.trc", "poses.nc", "openpose"} <= written
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("folder")
+def test_the_world():
+    """The distance that the page states is that of the rig."""
+    (block,) = blocks(ROOT / "docs/world.md", "python")
+    names = {}
+    exec(block, names)
+    rig = names["result"].groups[0].rig
+    assert rig.unit == "m"
+    distance = np.linalg.norm(rig["cam1"].centre - rig["cam2"].centre)
+    assert distance == pytest.approx(3.1, abs=1e-9)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_python_of_all_pages_can_be_read(page):
+    for block in blocks(page, "python"):
+        compile(textwrap.dedent(block), page.name, "exec")
+
+
+def test_the_page_says_all_names():
+    """Each name of `__all__` is on the page that shows the library."""
+    page = text(DOCS / "python.md")
+    assert [name for name in mc.__all__ if f"`{name}`" not in page] == []
+
+
 # --- statements
+
+
+README = text(ROOT / "README.md")
+
+
+def test_the_table_shows_all_recordings_and_their_verdicts():
+    script = load_script(ROOT / "benchmarks" / "recordings.py")
+    header = "| " + " | ".join(script.HEADER) + " |\n"
+    assert script.HEADER[1] == "verdict"
+    assert header in README
+    table = README.split(header)[1].split("\n\n")[0]
+    rows = [line.strip("| ").split(" | ") for line in table.splitlines()[1:]]
+    assert [row[0] for row in rows] == list(script.NAMES)
+    for row in rows:
+        assert re.match(r"well determined|usable|weak|not determined|refused", row[1])
+        assert len(row) == len(script.HEADER)
+
+
+def test_the_readme_has_one_picture_of_who_was_found():
+    (picture,) = re.findall(r"!\[[^\]]*\]\(([^)]*)\)", README)
+    path = ROOT / "docs" / picture.rpartition("/")[2]
+    assert path.stat().st_size < 100_000
+    words = {node.text for node in ElementTree.parse(path).iter() if node.tag.endswith("text")}
+    assert {f"individual {k}" for k in range(3)} <= words
+    assert {f"cam{k}" for k in range(1, 5)} <= words
 
 
 def constants() -> str:
@@ -145,11 +279,6 @@ def keypoint_formats() -> int:
 LIMITS = [f"{limit:g}" for limit in VERDICT_LIMITS_DEG]
 # page, pattern of what it states, what holds
 CLAIMS = {
-    "checks": (
-        "docs/how-good.md",
-        r"\n\| (?!check )([\w ]+) \| (.+) \|(?=[^#]*No check finds)",
-        lambda: [(check.name, check.text) for check in CHECKS],
-    ),
     "verdicts": (
         "docs/how-good.md",
         r"\n\| (\w[\w ]+) \| .*\d+ deg(?: and more)? \|",

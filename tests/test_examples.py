@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import TOOL
-from test_documents import load_script
+from conftest import TOOL, load_script
 
 import mocap_calib as mc
 

@@ -1,6 +1,5 @@
 """What is published: the source distribution and the wheel, as others build and install them."""
 
-import ast
 import configparser
 import json
 import os
@@ -12,16 +11,14 @@ import sys
 import tarfile
 import venv
 import zipfile
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
 import yaml
-from scenes import scene
+from conftest import load_script
+from test_architecture import SOURCES, imported_by
 
 from mocap_calib import __version__
-from mocap_calib.compute import identify_program
-from mocap_calib.synthetic.scene_files import write_scene
 
 ROOT = Path(__file__).parents[1]
 NOT_SOURCES = (".git", ".venv", "*.egg-info", "build", "dist", "out", "__pycache__", ".*_cache")
@@ -117,19 +114,17 @@ def test_the_wheel_works_by_itself(wheel, tmp_path):
     def run(*command: object) -> str:
         return call(*command, cwd=tmp_path / "elsewhere", path=DEPENDENCIES)
 
-    made = scene(cameras=2, people=1, frames=20)
-    write_scene(tmp_path / "elsewhere", made, "made by a test")
-    where = "from mocap_calib import compute as p; print(p.__file__, p.identify_program())"
-    file, _, program = run(programs / "python", "-P", "-c", where).strip().partition(" ")
-    assert Path(file).is_relative_to(tmp_path / "empty")
-    assert program == identify_program()  # the same code as in the checkout
-    package = Path(file).parents[1]
+    (tmp_path / "elsewhere").mkdir()
+    where = "import mocap_calib; print(mocap_calib.__file__)"
+    package = Path(run(programs / "python", "-P", "-c", where).strip()).parent
+    assert package.is_relative_to(tmp_path / "empty")
     take_compiled_kernels(package)
     lifter = list(package.glob("kernels/__pycache__/lifter.*.nbi"))
     for index in lifter:
         index.unlink()
     assert run(tool, "--version") == f"mocap-calib {__version__}\n"
     assert "rodent" in run(tool, "models")
+    run(tool, "simulate", "--cameras", 2, "--people", 1, "--frames", 20, "-o", ".", "-q")
     run(tool, "run", "keypoints", "--cameras", "intrinsics.toml", "-o", "out", "-q")
     assert lifter
     assert all(index.is_file() for index in lifter)
@@ -176,35 +171,18 @@ DISTRIBUTIONS = {
 BLENDER = {"bpy", "bmesh", "mathutils"}  # of the script that runs there
 
 
-def imported_modules(package: Path) -> set[str]:
-    """The top-level names of all modules that the code of a package imports, also late."""
-    names: set[str] = set()
-    for file in package.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_bytes())):
-            if isinstance(node, ast.Import):
-                names |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom):
-                names.add(str(node.module))
-    return {name.partition(".")[0] for name in names}
-
-
-def required_distributions() -> set[str]:
-    """What setup.cfg requires for the packages, always or by an extra for users."""
+def test_what_is_imported_is_required():
+    """Always or by an extra; other tests run where all packages are, and miss no line."""
+    names = {name.partition(".")[0] for path in SOURCES for name in imported_by(path)}
+    foreign = names - sys.stdlib_module_names - {"mocap_calib", "mocap_calib_cli"} - BLENDER
+    needed = {DISTRIBUTIONS.get(name, name).replace("-", "_") for name in foreign}
     options = configparser.ConfigParser()
     options.read(ROOT / "setup.cfg", "utf-8")
-    extras = options["options.extras_require"]
-    lists = [options["options"]["install_requires"], *(extras[k] for k in extras if k != "test")]
-    lines = [line for each in lists for line in each.splitlines() if line]
-    return {re.split("[<>=!~ ]", line)[0].lower().replace("-", "_") for line in lines}
-
-
-def test_what_is_imported_is_required():
-    """Other tests run among this environment's packages, where a missing line is not noticed."""
-    imported = imported_modules(ROOT / "mocap_calib") | imported_modules(ROOT / "cli")
-    own = {"mocap_calib", "mocap_calib_cli"}
-    foreign = imported - sys.stdlib_module_names - own - BLENDER
-    needed = {DISTRIBUTIONS.get(name, name).replace("-", "_") for name in foreign}
-    assert needed - required_distributions() == set()
+    extras = {**options["options.extras_require"]}
+    del extras["test"]
+    required = "\n".join([options["options"]["install_requires"], *extras.values()]).lower()
+    found = re.findall("^[a-z0-9-]+", required.replace("_", "-"), re.MULTILINE)
+    assert needed - {name.replace("-", "_") for name in found} == set()
     assert {"torch", "pyyaml", "pynwb"} <= needed
 
 
@@ -218,12 +196,7 @@ def test_the_citation_is_of_this_version():
 # --- the check before make installs
 
 
-def load_check():
-    """Import .ci/check_torch.py."""
-    place = spec_from_file_location("check_torch", ROOT / ".ci" / "check_torch.py")
-    module = module_from_spec(place)
-    place.loader.exec_module(module)
-    return module
+CHECK = ROOT / ".ci" / "check_torch.py"
 
 
 def report(version: str, *required: str) -> dict:
@@ -235,7 +208,8 @@ def report(version: str, *required: str) -> dict:
 def test_cuda_is_found_where_it_would_be_installed():
     """As torch 2.13 requires it on Linux, and names it elsewhere."""
     here = f'platform_system == "{platform.system()}"'
-    found = load_check().find_cuda_packages(
+    check = load_script(CHECK)
+    found = check.find_cuda_packages(
         report(
             "2.13.0",
             f"cuda-toolkit[cublas,cudart]==13.0.3; {here}",
@@ -245,12 +219,12 @@ def test_cuda_is_found_where_it_would_be_installed():
         )
     )
     assert found == ["cuda-toolkit", "nvidia-cudnn-cu13"]
-    assert load_check().find_cuda_packages(report("2.13.0+cpu")) == []
-    assert load_check().find_cuda_packages({"install": []}) == []
+    for answer in (report("2.13.0+cpu"), {"install": []}):
+        assert check.find_cuda_packages(answer) == []
 
 
 def test_make_ends_in_a_line_before_it_downloads_cuda(monkeypatch):
-    check = load_check()
+    check = load_script(CHECK)
     answer = json.dumps(report("2.13.0", "nvidia-nccl-cu13==2.29.7")).encode()
     done = subprocess.CompletedProcess((), 0, stdout=answer)
     monkeypatch.setattr(check.importlib.util, "find_spec", lambda _: None)
@@ -263,17 +237,12 @@ def test_make_ends_in_a_line_before_it_downloads_cuda(monkeypatch):
     )
 
 
-def test_a_torch_that_is_there_is_left_alone(monkeypatch):
-    check = load_check()
-    monkeypatch.delattr(check.subprocess, "run")
-    check.main()
-
-
-def test_without_the_copy_of_packaging_nothing_is_checked(monkeypatch):
+def test_pip_is_not_asked_where_torch_is_there_or_no_copy_of_packaging(monkeypatch):
+    monkeypatch.delattr(subprocess, "run")
+    load_script(CHECK).main()
     monkeypatch.setitem(sys.modules, "pip._vendor.packaging.requirements", None)
-    check = load_check()
+    check = load_script(CHECK)
     monkeypatch.setattr(check.importlib.util, "find_spec", lambda _: None)
-    monkeypatch.delattr(check.subprocess, "run")
     check.main()
 
 

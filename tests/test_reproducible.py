@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocap_calib.io.camera_files import read_rig
-from mocap_calib.types import CameraRig
+import mocap_calib as mc
 
 ROOT = Path(__file__).parents[1]
 SAME = 1e-6
@@ -31,45 +30,41 @@ VERSIONS = ("3.11", "3.12", "3.13")
 OTHERS = [each for each in VERSIONS if each != "{}.{}".format(*sys.version_info)]
 
 
-def run_elsewhere(small: Path, out: Path, *, python: str = sys.executable, **changed) -> str:
+def assert_same_elsewhere(done, small, out, *, python=sys.executable, **changed) -> str:
     """Run the recording in another process; return the kernels of its linear algebra."""
     cameras = str(small / "intrinsics.toml")
     words = ["run", str(small / "keypoints"), "--cameras", cameras, "-o", str(out), "-q"]
     program = COMMAND.format(arguments=[*words, "--no-report"])
     paths = os.pathsep.join([str(ROOT), str(ROOT / "cli")])
     environment = {**os.environ, "PYTHONPATH": paths, "OMP_NUM_THREADS": "1", **changed}
-    done = subprocess.run(
+    said = subprocess.run(
         [python, "-P", "-c", program], capture_output=True, text=True, env=environment, check=False
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def assert_same(rig: CameraRig, other: CameraRig) -> None:
+    assert said.returncode == 0, said.stderr
+    rig, other = (mc.read_rig(folder / "cameras.yaml") for folder in (done[0], out))
     assert rig.names == other.names
     for name in ("rotation", "translation"):
         np.testing.assert_allclose(getattr(other, name), getattr(rig, name), rtol=0, atol=SAME)
     for camera, same in zip(rig.cameras, other.cameras, strict=True):
         np.testing.assert_allclose(same.matrix, camera.matrix, rtol=SAME)
         np.testing.assert_allclose(same.distortion, camera.distortion, rtol=0, atol=SAME)
+    return said.stdout
 
 
 @pytest.mark.slow
 def test_other_sums_give_the_same_rig(done, small, tmp_path):
     """Nehalem adds in another order than any processor with AVX."""
-    kernels = run_elsewhere(small, tmp_path / "out", OPENBLAS_CORETYPE="Nehalem").split()
+    out = tmp_path / "out"
+    kernels = assert_same_elsewhere(done, small, out, OPENBLAS_CORETYPE="Nehalem").split()
     if sys.platform == "linux" and os.uname().machine == "x86_64":
         assert set(kernels) == {"Nehalem"}
-    assert_same(read_rig(done[0] / "cameras.yaml"), read_rig(tmp_path / "out" / "cameras.yaml"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("version", OTHERS)
 def test_other_versions_of_python_give_the_same_rig(done, small, tmp_path, version):
     """Where they are: `python3.12` on the path, or in MOCAP_CALIB_PYTHONS (with `:` between)."""
-    python = find_python(version)
-    run_elsewhere(small, tmp_path / "out", python=python)
-    assert_same(read_rig(done[0] / "cameras.yaml"), read_rig(tmp_path / "out" / "cameras.yaml"))
+    assert_same_elsewhere(done, small, tmp_path / "out", python=find_python(version))
 
 
 def find_python(version: str) -> str:
