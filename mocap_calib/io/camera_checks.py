@@ -33,7 +33,7 @@ def numbers(value: Any, expected: str, source: str) -> Floats:
             return np.array(value["data"], dtype=np.float64).reshape(shape)
         return np.array(value, dtype=np.float64)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise FormatError(source, expected, f"an error ({error})", "mend the numbers") from None
+        raise FormatError(source, expected, f"an error ({error})", "correct the numbers") from None
 
 
 def make_camera(
@@ -79,7 +79,7 @@ def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Float
         if plausible:
             found = f"shapes {given.shape} and {offset.shape}"
         expected = "a rotation (3 x 3, or a vector of 3) and a translation of 3"
-        raise FormatError(source, expected, found, "mend the extrinsics")
+        raise FormatError(source, expected, found, "correct the extrinsics")
     if given.size == 3:
         return matrix_from_vector(given.reshape(3)), offset
     return _check_rotation(given, source), offset
@@ -99,7 +99,7 @@ def _check_size(value: Any, source: str) -> tuple[int, int]:
     size = numbers(value, "a size [width, height]", source).reshape(-1)
     fits = size.shape == (2,) and np.isfinite(size).all()
     if not fits or (size != size.round()).any() or (size < 0).any() or (size > _LARGEST_SIZE).any():
-        raise FormatError(source, "a size [width, height] in pixels", value, "mend the size")
+        raise FormatError(source, "a size [width, height] in pixels", value, "correct the size")
     return int(size[0]), int(size[1])
 
 
@@ -118,7 +118,7 @@ def _check_matrix(value: Any, size: tuple[int, int], source: str) -> Floats:
     matrix = numbers(value, "a 3 x 3 camera matrix", source)
     if matrix.shape == (9,):
         matrix = matrix.reshape(3, 3)
-    remedy = "mend the camera matrix"
+    remedy = "correct the camera matrix"
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         found = f"shape {matrix.shape}"
         raise FormatError(source, "a finite 3 x 3 camera matrix", found, remedy)

@@ -46,7 +46,7 @@ def parse_toml(text: str, source: str) -> Any:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise FormatError(source, "TOML", f"an error ({error})", "mend that line") from None
+        raise FormatError(source, "TOML", f"an error ({error})", "correct that line") from None
 
 
 def parse_yaml(text: str, source: str) -> Any:
@@ -69,7 +69,7 @@ def parse_yaml(text: str, source: str) -> Any:
         AttributeError,
         KeyError,
     ) as error:
-        raise FormatError(source, "YAML", f"an error ({error})", "mend the file") from None
+        raise FormatError(source, "YAML", f"an error ({error})", "correct the file") from None
 
 
 class _Loader(yaml.SafeLoader):
