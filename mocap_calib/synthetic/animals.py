@@ -4,14 +4,22 @@ A body holds one posture on the move and another at rest, and goes from one to t
 follow the way that the body goes, a wing beats with the time. Feet may slide on the floor.
 """
 
+from functools import partial
+
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mocap_calib.recording.joints import load_section, load_skeleton
-from mocap_calib.synthetic.body_plan import AXES, ROOT, BodyPlan, PostureRange, parse_body
+from mocap_calib.synthetic.body_plan import (
+    AXES,
+    BodyPlan,
+    assemble,
+    parse_body,
+    posture_angles,
+    sample_bones,
+)
 from mocap_calib.synthetic.config import ANIMAL_MOTION, AnimalMotion
 from mocap_calib.synthetic.paths import Walk
-from mocap_calib.synthetic.procedural import assemble, joints_named, sample_bones
 from mocap_calib.synthetic.signals import wander
 from mocap_calib.types import Floats
 
@@ -61,42 +69,28 @@ def _turn_bones(
     moves = (walk.speed > _AT_REST).astype(np.float64)
     share = gaussian_filter1d(moves, _CHANGE / interval, mode="nearest")[:, None]
     on_the_move, at_rest = (
-        _hold_posture(rng, body, _choose(rng, body, names), time, cycle)
-        for names in (motion.moving, motion.resting)
+        _hold_one_of(rng, body, names, time, cycle) for names in (motion.moving, motion.resting)
     )
     turn = share[..., None] * on_the_move[0] + (1 - share[..., None]) * at_rest[0]
     facing = share * on_the_move[1] + (1 - share) * at_rest[1]
     return np.deg2rad(turn), np.deg2rad(facing)
 
 
-def _choose(rng: np.random.Generator, body: BodyPlan, names: tuple[str, ...]) -> PostureRange:
-    """Return one of the postures of these names."""
-    known = {posture.name: posture for posture in body.postures}
-    return known[names[rng.integers(len(names))]]
-
-
-def _hold_posture(
-    rng: np.random.Generator, body: BodyPlan, posture: PostureRange, time: Floats, cycle: Floats
+def _hold_one_of(
+    rng: np.random.Generator, body: BodyPlan, names: tuple[str, ...], time: Floats, cycle: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the angles `[time, joint, 3]` and `[time, 3]`, in degrees, of a posture over time.
+    """Return the angles `[time, joint, 3]` and `[time, 3]`, in degrees, of one of these postures.
 
     cycle: `[time]` degrees of the stride, or of the beat of the wings.
     """
-    turn = np.zeros((len(time), len(body.joints), 3))
-    facing = np.zeros((len(time), 3))
+    known = {posture.name: posture for posture in body.postures}
+    posture = known[names[rng.integers(len(names))]]
     opposed = rng.uniform(*posture.opposed)
-    for (bone, axis), numbers in posture.angles.items():
-        column = AXES.index(axis)
-        if bone == ROOT:
-            facing[:, column] = _angle(rng, numbers, time, cycle)
-        for joint in joints_named(body, bone):
-            own_cycle = cycle + opposed * body.right[joint]
-            turn[:, joint, column] = _angle(rng, numbers, time, own_cycle)
-    return turn, facing
+    return posture_angles(body, posture, cycle, opposed, partial(_angle, rng, time))
 
 
 def _angle(
-    rng: np.random.Generator, numbers: tuple[float, ...], time: Floats, cycle: Floats
+    rng: np.random.Generator, time: Floats, numbers: tuple[float, ...], cycle: Floats
 ) -> Floats:
     """Return an angle `[time]` in degrees: at a place in the cycle, or at random within a range.
 

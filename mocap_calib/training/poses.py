@@ -23,8 +23,7 @@ from mocap_calib.io.pose_files import read_poses
 from mocap_calib.io.poses import refuse_damage
 from mocap_calib.recording.joints import load_section, load_skeleton, match_names, parse_skeleton
 from mocap_calib.results import Poses3D
-from mocap_calib.synthetic.body_plan import parse_body
-from mocap_calib.synthetic.procedural import sample_bodies
+from mocap_calib.synthetic.body_plan import parse_body, sample_bodies
 from mocap_calib.training import (
     OWN_SPECIES_LARGEST_ERROR,
     OWN_SPECIES_LEAST_POSES,

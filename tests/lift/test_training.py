@@ -27,8 +27,13 @@ from mocap_calib.recording.joints import (
     parse_skeleton,
 )
 from mocap_calib.results import Poses3D
-from mocap_calib.synthetic.body_plan import parse_body
-from mocap_calib.synthetic.procedural import assemble, sample_bodies, sample_bones, sample_turns
+from mocap_calib.synthetic.body_plan import (
+    assemble,
+    parse_body,
+    sample_bodies,
+    sample_bones,
+    sample_turns,
+)
 from mocap_calib.training import OWN_SPECIES_TRAINING, TrainConfig
 from mocap_calib.training.model import LifterModule, load_steerer, normalise, save_model
 from mocap_calib.training.poses import (
