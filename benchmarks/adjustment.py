@@ -29,8 +29,8 @@ from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import Matches
 from mocap_calib.rig import gather_tracks
-from mocap_calib.synthetic import simulate
 from mocap_calib.synthetic.config import SimulateConfig
+from mocap_calib.synthetic.scene import simulate
 from mocap_calib.types import CameraRig, Floats, Sample
 
 Adjuster = Callable[..., CameraRig]

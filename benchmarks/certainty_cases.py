@@ -15,8 +15,9 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
 from mocap_calib.io.camera_files import read_cameras, read_rig
 from mocap_calib.io.keypoints import read_keypoints
-from mocap_calib.synthetic import LAYOUTS, Scene, detect, keypoint_files, simulate
 from mocap_calib.synthetic.config import SimulateConfig
+from mocap_calib.synthetic.detections import LAYOUTS, detect, keypoint_files
+from mocap_calib.synthetic.scene import Scene, simulate
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D, Recording
 
 ANIMALS = ("quadruped", "rodent", "bird")
@@ -276,18 +277,8 @@ def film(
     rng: np.random.Generator, rig: CameraRig, scene: Scene, poses: Floats, noise_px: float
 ) -> tuple[Keypoints2D, ...]:
     """Return what a detector makes of the poses of a scene in the images of another rig."""
-    layout = LAYOUTS["coco17"] if scene.kinds[0] == "people" else scene.joints
-    usual = SimulateConfig()
-    detections = detect(
-        rng,
-        rig,
-        poses,
-        layout=layout,
-        noise_px=noise_px,
-        missing=usual.missing,
-        outliers=usual.outliers,
-        false_detections=usual.false_detections,
-    )
+    joints = LAYOUTS["coco17"] if scene.kinds[0] == "people" else scene.joints
+    detections = detect(rng, rig, poses, joints, SimulateConfig(noise_px=noise_px))
     return keypoint_files(rig, detections)
 
 

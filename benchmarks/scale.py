@@ -30,7 +30,10 @@ from machines import measure
 
 import mocap_calib as mc
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.synthetic import Detections, detect, keypoint_files, people, ring_rig
+from mocap_calib.synthetic.bodies import motion_times, move_person
+from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoint_files
+from mocap_calib.synthetic.paths import plan_walks
+from mocap_calib.synthetic.scene import ring_rig
 from mocap_calib.types import Bools, CameraRig, Floats, Keypoints2D
 
 WIDTH, LENGTH_OF_CAMERA = 12.0, 0.36  # metres of a hall
@@ -179,17 +182,11 @@ def make_hall(
     of_people, of_rig, of_detector = np.random.default_rng(seed).spawn(3)
     room = (max(8.0, LENGTH_OF_CAMERA * cameras), WIDTH)
     inner = (room[0] - 2.0, room[1] - 2.0)
-    bodies = people(of_people, individuals=individuals, frames=frames, fps=10.0, room=inner)
+    time, seen = motion_times(frames, fps=10.0)
+    walks = plan_walks(of_people, time, individuals, inner)
+    bodies = np.stack([move_person(of_people, time, walk)[seen] for walk in walks], axis=1)
     rig = hall_rig(of_rig, cameras, room, usual.size)
-    found = detect(
-        of_detector,
-        rig,
-        bodies,
-        noise_px=usual.noise_px,
-        missing=usual.missing,
-        outliers=usual.outliers,
-        false_detections=usual.false_detections,
-    )
+    found = detect(of_detector, rig, bodies, LAYOUTS["coco17"], usual)
     return keypoint_files(rig, without_hidden(found, hidden(rig, bodies, room[0]))), rig
 
 
@@ -197,9 +194,7 @@ def hall_rig(
     rng: np.random.Generator, cameras: int, room: tuple[float, float], size: tuple[int, int]
 ) -> CameraRig:
     """Return cameras of the walls of a hall, in random order."""
-    made = ring_rig(
-        rng, cameras=cameras, radius=4.5, height=2.2, size=size, distortion="none"
-    ).cameras
+    made = ring_rig(rng, mc.SimulateConfig(cameras=cameras, size=size)).cameras
     along = 2 * sum(room) * (np.arange(cameras) + rng.uniform(-0.2, 0.2, cameras)) / cameras
     along = rng.permutation(along % (2 * sum(room)))
     corner = np.array([[0, 0], [room[0], 0], room, [0, room[1]], [0, 0]])

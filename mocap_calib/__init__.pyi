@@ -42,9 +42,9 @@ if TYPE_CHECKING:  # or mypy checks the whole package as one circle
     from mocap_calib.stages import match as match
     from mocap_calib.stages import pairwise as pairwise
     from mocap_calib.stages import smooth as smooth
-    from mocap_calib.synthetic import Scene as Scene
-    from mocap_calib.synthetic import simulate as simulate
     from mocap_calib.synthetic.config import SimulateConfig as SimulateConfig
+    from mocap_calib.synthetic.scene import Scene as Scene
+    from mocap_calib.synthetic.scene import simulate as simulate
     from mocap_calib.types import Camera as Camera
     from mocap_calib.types import CameraRig as CameraRig
     from mocap_calib.types import Keypoints2D as Keypoints2D

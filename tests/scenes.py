@@ -18,8 +18,8 @@ from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import CalibrationResult, GroupResult, LiftedPoses, Matches
-from mocap_calib.synthetic import Scene, simulate
 from mocap_calib.synthetic.config import SimulateConfig
+from mocap_calib.synthetic.scene import Scene, simulate
 from mocap_calib.types import Camera, CameraRig, Recording, Sample, silent
 
 PEOPLE = load_skeleton("people")

@@ -1,30 +1,39 @@
-"""People with truth: bodies that walk through a room and gesture, as the joints of `people`.
+"""People with truth: bodies that walk about and gesture, as joints of the skeleton `people`.
 
 Forward kinematics from the pelvis up and out to head and hands; the legs hang between the pelvis
 and feet that stand on the floor. Body axes: x ahead, y to the body's left, z up.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.synthetic.anatomy import (
-    FOOT,
-    MIDDLE_OF_HEAD,
-    SIDE_OF_HEAD,
-    SIDES,
-    Body,
-    mirror,
-    random_body,
-)
 from mocap_calib.synthetic.config import MOTION_RATE
 from mocap_calib.synthetic.gait import Foot, gait_cycles, place_foot
-from mocap_calib.synthetic.paths import Walk, plan_walks
+from mocap_calib.synthetic.paths import Walk
 from mocap_calib.synthetic.postures import Posture, hold_posture
-from mocap_calib.synthetic.signals import direction, left_of
+from mocap_calib.synthetic.signals import direction, left_of, turn_about
 from mocap_calib.types import Floats
+
+SIDES = {"left": 1.0, "right": -1.0}
+
+# Places in the axes of head and foot, in shares of stature: ahead, to the left, up; from the neck
+# and from the ankle.
+MIDDLE_OF_HEAD = {"nose": (0.088, 0, 0.110), "head_top": (0.012, 0, 0.187)}
+SIDE_OF_HEAD = {"eye": (0.074, 0.019, 0.133), "ear": (0.026, 0.045, 0.118)}
+FOOT = {
+    "heel": (-0.031, -0.003, -0.031),
+    "big_toe": (0.113, -0.006, -0.031),
+    "small_toe": (0.084, 0.033, -0.031),
+}
+
+# Lengths in shares of stature, joint to joint, after Drillis and Contini (Winter 2009, fig. 4.1):
+# trunk, hip, thigh, shin, shoulder, upper arm, forearm, hand; head and foot as their tables above.
+_SHARES = [0.288, 0.054, 0.248, 0.248, 0.106, 0.183, 0.150, 0.055, 1.0, 1.0]
+_HEAD = 8  # column of the head
+_CHILDREN = 0.15  # share of the people
 
 JOINTS = load_skeleton("people").keypoints
 
@@ -33,32 +42,49 @@ _HAND_BEND_DEG = -12.0  # hands at ease bend in a little
 _ALONG_LIMB = np.array([0.0, 0.0, -1.0])  # the direction of a hanging arm in its own axes
 
 
-def people(
-    rng: np.random.Generator,
-    *,
-    individuals: int,
-    frames: int,
-    fps: float,
-    room: tuple[float, float],
-) -> Floats:
-    """Return the joints of people who walk about a room and gesture.
+@dataclass(frozen=True)
+class Body:
+    """Lengths of one person in metres, left and right alike.
 
-    `[frame, individual, joint, 3]` metres, +z up, floor at z = 0; the joints are `JOINTS`.
-
-    room: (width, depth) in metres about the origin.
-
-    Raises MismatchError where a number is not positive.
+    head and foot: what the places in the tables above are multiplied by.
     """
-    if min(individuals, frames, fps, *room) <= 0:
-        raise MismatchError(
-            "people",
-            "positive numbers",
-            f"{individuals} individuals, {frames} frames, {fps} fps, room {room}",
-            "raise what is not",
-        )
-    time, seen = motion_times(frames, fps)
-    walks = plan_walks(rng, time, individuals, room)
-    return np.stack([move_person(rng, time, walk) for walk in walks], axis=1)[seen]
+
+    stature: float
+    trunk: float
+    hip: float
+    thigh: float
+    shin: float
+    shoulder: float
+    upper_arm: float
+    forearm: float
+    hand: float
+    head: float
+    foot: float
+
+    @property
+    def leg(self) -> float:
+        """Length of a straight leg in metres."""
+        return self.thigh + self.shin
+
+
+def random_body(rng: np.random.Generator) -> Body:
+    """Return the lengths of an adult, now and then of a child."""
+    if rng.random() < _CHILDREN:
+        stature = float(rng.uniform(1.25, 1.5))
+    else:
+        stature = float(np.clip(rng.normal(1.71, 0.09), 1.5, 1.95))
+    shares = np.array(_SHARES) * np.exp(rng.normal(0, 0.03, len(_SHARES)))
+    # heads of small people are large for them
+    shares[_HEAD] *= np.sqrt(1.7 / stature)
+    return Body(stature, *(float(share) * stature for share in shares))
+
+
+def mirror(side: str) -> Floats:
+    """Return the factors `[3]` that turn places on the left into places on this side."""
+    return np.array([1, SIDES[side], 1])
+
+
+# --- their motion
 
 
 def motion_times(frames: int, fps: float) -> tuple[Floats, slice]:
@@ -78,20 +104,15 @@ def move_person(rng: np.random.Generator, time: Floats, walk: Walk) -> Floats:
     feet = {
         side: place_foot(walk, cycles, sign, offsets * [1, sign, 1]) for side, sign in SIDES.items()
     }
-    facing = _turn(walk.heading, 2)
+    facing = turn_about(walk.heading)
     places = _lower_body(time, walk, cycles, posture=posture, body=body, facing=facing, feet=feet)
     places |= _upper_body(places["mid_hip"], posture=posture, body=body, facing=facing)
     return np.stack([places[joint] for joint in JOINTS], axis=1)
 
 
-def _turn(angle: Floats, axis: int) -> Floats:
-    """Return rotations `[..., 3, 3]` by angles `[...]` in radians about a coordinate axis."""
-    return matrix_from_vector(np.asarray(angle)[..., None] * np.eye(3)[axis])
-
-
 def _turn_axes(axes: Floats, *, yaw: Floats, pitch: Floats, roll: Floats) -> Floats:
     """Return axes `[time, 3, 3]` turned about their own z, then y, then x, by angles `[time]`."""
-    return axes @ _turn(yaw, 2) @ _turn(pitch, 1) @ _turn(roll, 0)
+    return axes @ turn_about(yaw) @ turn_about(pitch, 1) @ turn_about(roll, 0)
 
 
 def _lower_body(
@@ -174,7 +195,7 @@ def _leg(side: str, body: Body, *, hip: Floats, facing: Floats, foot: Foot) -> d
     across = np.sqrt(np.maximum(body.thigh**2 - along**2, 0))
     knee = hip + along * down + across * ahead
     ankle = hip + reach * down
-    axes = _turn(foot.yaw, 2) @ _turn(foot.pitch, 1)
+    axes = turn_about(foot.yaw) @ turn_about(foot.pitch, 1)
     size = mirror(side) * body.foot
     places = {"hip": hip, "knee": knee, "ankle": ankle}
     places |= {name: ankle + axes @ (size * place) for name, place in FOOT.items()}
@@ -186,7 +207,7 @@ def _knee_direction(down: Floats, facing: Floats, foot: Foot) -> Floats:
 
     Between where the body faces and where the foot points. down: `[time, 3]` from hip to ankle.
     """
-    toes = _turn(foot.yaw, 2)[..., 0]
+    toes = turn_about(foot.yaw)[..., 0]
     pole = facing[..., 0] + toes
     ahead = pole - (pole * down).sum(1, keepdims=True) * down
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -232,9 +253,14 @@ def _arm(
     """
     flexion, abduction, inward, bend = angles.T
     sign = SIDES[side]
-    upper = chest @ _turn(sign * abduction, 0) @ _turn(-flexion, 1) @ _turn(-sign * inward, 2)
-    fore = upper @ _turn(-bend, 1)
-    hand_axes = fore @ _turn(np.radians(_HAND_BEND_DEG), 1)
+    upper = (
+        chest
+        @ turn_about(sign * abduction, 0)
+        @ turn_about(-flexion, 1)
+        @ turn_about(-sign * inward, 2)
+    )
+    fore = upper @ turn_about(-bend, 1)
+    hand_axes = fore @ turn_about(np.radians(_HAND_BEND_DEG), 1)
     elbow = shoulder + body.upper_arm * (upper @ _ALONG_LIMB)
     wrist = elbow + body.forearm * (fore @ _ALONG_LIMB)
     hand = wrist + body.hand * (hand_axes @ _ALONG_LIMB)

@@ -92,8 +92,6 @@ ROOM_SIDE = 0.9  # side of the square that people walk in, in radii of the ring
 
 PEOPLE_APART = 0.8  # metres that people keep between them
 
-LEAST_DETECTED_JOINTS = 4  # that make a detection
-
 FALSE_COPIES = 0.5  # share of the false detections that are a distorted copy of a real one
 
 FALSE_CONFIDENCE = 0.7  # of the confidence of a real detection

@@ -1,19 +1,16 @@
 """What a keypoint detector makes of bodies in the images of a rig: noise, gaps, gross errors."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.geometry.lens import project_points
 from mocap_calib.recording.synchronise import split_by_view
 from mocap_calib.synthetic.bodies import JOINTS
-from mocap_calib.synthetic.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
-from mocap_calib.synthetic.signals import direction
+from mocap_calib.synthetic.config import FALSE_CONFIDENCE, FALSE_COPIES, SimulateConfig
+from mocap_calib.synthetic.signals import direction, turn_about
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, Record, check_shape
-
-Layout = Literal["coco17", "all"]
 
 LAYOUTS: dict[str, tuple[str, ...]] = {"coco17": JOINTS[:17], "all": JOINTS}
 
@@ -40,58 +37,39 @@ class Detections(Record):
         check_shape("detections: confidence", self.confidence, *shape)
 
 
-def detect(  # noqa: PLR0913 - each is one plain number of the detector
+def detect(
     rng: np.random.Generator,
     rig: CameraRig,
     poses: Floats,
-    *,
-    layout: Layout | tuple[str, ...] = "coco17",
-    noise_px: float = 0.0,
-    missing: float = 0.0,
-    outliers: float = 0.0,
-    false_detections: float = 0.0,
-    swaps: float = 0.0,
-    shuffle: bool = True,
+    joints: tuple[str, ...],
+    config: SimulateConfig,
 ) -> Detections:
     """Detect the poses `[frame, individual, joint, 3]` of people or animals in every view.
 
     Nothing is found behind the camera or outside the image, and four joints at least make a
-    detection.
+    detection. With `config.shuffle` the order of the instances carries no information; otherwise it
+    is that of the individuals.
 
-    poses: in the rig's unit, NaN for joints that a body does not have. layout: names of their
-    joints; or what is detected of `people`, whose joints they are then. noise_px: RMS error of a
-    coordinate in pixels. missing, outliers: shares of joints that are not found, that are found
-    somewhere else on or near the body. false_detections: share of frames, in each view, with a
-    body too many. swaps: share of detections that take left for right. shuffle: the order of the
-    instances says nothing; otherwise it is that of the individuals.
-
-    Raises MismatchError.
+    poses: in the rig's unit, NaN for joints that a body does not have. joints: names of those that
+    are detected, the first of the poses.
     """
-    shares = {
-        "missing": missing,
-        "outliers": outliers,
-        "false detections": false_detections,
-        "swaps": swaps,
-    }
-    _check_detector(shares, layout, noise_px)
-    joints = LAYOUTS[layout] if isinstance(layout, str) else layout
     poses = poses[:, :, : len(joints)]
     individuals = poses.shape[1]
     bodies = np.concatenate([poses, _strangers(rng, poses)[:, None]], axis=1)
     image = _replace_by_copies(rng, project_points(rig, bodies))
-    image = _swap_sides(rng, image, joints, swaps)
+    rng.random(image.shape[:3])  # is not used: seeds keep their scenes
     real = np.arange(individuals + 1) < individuals  # [body]: the last is false
-    present = real | (rng.random((*image.shape[:2], 1)) < false_detections)
-    found = rng.random(image.shape[:-1]) >= missing
+    present = real | (rng.random((*image.shape[:2], 1)) < config.false_detections)
+    found = rng.random(image.shape[:-1]) >= config.missing
     seen = _inside(rig, image) & present[..., None] & found
-    seen &= seen.sum(-1, keepdims=True) >= LEAST_DETECTED_JOINTS
-    positions, quality = _blur(rng, image, noise_px, outliers)
+    seen &= seen.sum(-1, keepdims=True) >= LEAST_JOINTS
+    positions, quality = _blur(rng, image, config.noise_px, config.outliers)
     trust = np.where(real, 1.0, FALSE_CONFIDENCE)[:, None]
     confidence = np.clip(quality * trust, 0.05, 1.0)
     individual = np.where(real, np.arange(len(real)), -1)  # [body]
     identity = np.broadcast_to(individual, seen.shape[:3])
     detections = Detections(joints, positions, confidence, identity)
-    return _arrange(rng, detections, seen, shuffle=shuffle)
+    return _arrange(rng, detections, seen, shuffle=config.shuffle)
 
 
 def keypoint_files(rig: CameraRig, detections: Detections) -> tuple[Keypoints2D, ...]:
@@ -105,22 +83,6 @@ def keypoint_files(rig: CameraRig, detections: Detections) -> tuple[Keypoints2D,
         tracked=np.zeros(len(rig.cameras), dtype=bool),
         source="synthetic",
     )
-
-
-def _check_detector(
-    shares: dict[str, float], layout: str | tuple[str, ...], noise_px: float
-) -> None:
-    """Raise MismatchError where a number of the detector is none that it can be."""
-    wrong = [f"{name} {share}" for name, share in shares.items() if not 0 <= share <= 1]
-    unknown = isinstance(layout, str) and layout not in LAYOUTS
-    if wrong or unknown or noise_px < 0:
-        found = ", ".join(wrong) or f"{noise_px}, {layout}"
-        raise MismatchError(
-            "detect",
-            f"shares in 0..1, noise >= 0 and layout {' or '.join(LAYOUTS)}",
-            found,
-            "correct that number",
-        )
 
 
 def _inside(rig: CameraRig, image: Floats) -> Bools:
@@ -143,16 +105,8 @@ def _strangers(rng: np.random.Generator, poses: Floats) -> Floats:
     low, high = np.nanmin(poses, axis=(0, 1, 2)), np.nanmax(poses, axis=(0, 1, 2))
     level = rng.uniform(low[:2], high[:2], (frames, 2))
     place = np.concatenate([level, np.zeros((frames, 1))], axis=1)
-    turn = _rotation_about_z(np.asarray(rng.uniform(0, 2 * np.pi, frames)))
+    turn = turn_about(np.asarray(rng.uniform(0, 2 * np.pi, frames)))
     return np.asarray((body - middle) @ np.swapaxes(turn, 1, 2) + place[:, None])
-
-
-def _rotation_about_z(angle: Floats) -> Floats:
-    """Return rotations `[frame, 3, 3]` by angles `[frame]` in radians about the vertical."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    zero, one = np.zeros(len(angle)), np.ones(len(angle))
-    entries = [cosine, -sine, zero, sine, cosine, zero, zero, zero, one]
-    return np.stack(entries, axis=-1).reshape(-1, 3, 3)
 
 
 def _replace_by_copies(rng: np.random.Generator, image: Floats) -> Floats:
@@ -203,22 +157,6 @@ def _blur(
     distance = rng.uniform(0.15, 0.8, shape) * _size(image)[..., None]
     blurred += (gross * distance)[..., None] * direction(angle)
     return blurred, np.where(gross, quality * rng.uniform(0.3, 1.0, shape), quality)
-
-
-def _swap_sides(
-    rng: np.random.Generator, image: Floats, joints: tuple[str, ...], swaps: float
-) -> Floats:
-    """Exchange left and right of a share of the detections `[view, frame, body, joint, 2]`."""
-    twin = [joints.index(_other_side(joint)) for joint in joints]
-    swapped = rng.random(image.shape[:3]) < swaps
-    return np.where(swapped[..., None, None], image[..., twin, :], image)
-
-
-def _other_side(joint: str) -> str:
-    """Return `right_hip` for `left_hip` and the reverse; the others are their own twins."""
-    if joint.startswith("left_"):
-        return joint.replace("left_", "right_")
-    return joint.replace("right_", "left_")
 
 
 def _arrange(

@@ -43,14 +43,6 @@ class Foot:
     pitch: Floats
 
 
-@dataclass(frozen=True)
-class _Footholds:
-    """Where a foot stands. place: `[time, 2]` metres; yaw: `[time]` radians."""
-
-    place: Floats
-    yaw: Floats
-
-
 def gait_cycles(time: Floats, walk: Walk, stature: float) -> Floats:
     """Return the gait cycles `[time]` since the start.
 
@@ -96,14 +88,14 @@ def place_foot(walk: Walk, cycles: Floats, side: float, offsets: Floats) -> Foot
     within = own_cycles - step
     swing_phase = (within - _STANCE) / (1 - _STANCE)
     swing = ease(swing_phase)
-    here = _foothold(walk, own_cycles, step, side)
-    following = _foothold(walk, own_cycles, step + 1, side)
+    here, yaw_here = _foothold(walk, own_cycles, step, side)
+    following, yaw_following = _foothold(walk, own_cycles, step + 1, side)
     strength = vigour(walk)
-    yaw = here.yaw + swing * (following.yaw - here.yaw)
+    yaw = yaw_here + swing * (yaw_following - yaw_here)
     pitch = strength * np.radians(_PITCH(within))
     rolled = _roll_over(within, swing, strength, offsets)
-    moved = swing[:, None] * (following.place - here.place)
-    level = here.place + moved + rolled[:, None] * direction(yaw)
+    moved = swing[:, None] * (following - here)
+    level = here + moved + rolled[:, None] * direction(yaw)
     arch = np.sin(np.pi * np.clip(swing_phase, 0, 1)) ** 2
     clearance = (0.02 + 0.04 * strength) * arch
     # the lowest point of the turned foot is what stands on the floor
@@ -144,8 +136,11 @@ def _skin(offsets: Floats) -> float:
     return float(-0.35 * offsets[0, 2])
 
 
-def _foothold(walk: Walk, own_cycles: Floats, step: Floats, side: float) -> _Footholds:
-    """Return where the foot stands in its step number `[time]`: beside where the pelvis passes."""
+def _foothold(walk: Walk, own_cycles: Floats, step: Floats, side: float) -> tuple[Floats, Floats]:
+    """Return where the foot stands in its step number `[time]`, and its heading.
+
+    Beside where the pelvis passes, `[time, 2]` metres, and `[time]` radians.
+    """
     # a slight slope makes the phase strictly increasing, also while somebody stands
     index = np.arange(len(own_cycles), dtype=np.float64)
     passing = np.interp(step + _PASSING, own_cycles + 1e-9 * index, index)
@@ -153,4 +148,4 @@ def _foothold(walk: Walk, own_cycles: Floats, step: Floats, side: float) -> _Foo
     heading = np.interp(passing, index, walk.heading)
     left = left_of(direction(heading))
     yaw = heading + side * np.radians(_TOES_OUT_DEG)
-    return _Footholds(place + _STEP_WIDTH * side * left, yaw)
+    return place + _STEP_WIDTH * side * left, yaw

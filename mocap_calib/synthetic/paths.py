@@ -48,15 +48,14 @@ def plan_walks(
     """
     walks = list(others)
     for _ in range(individuals):
-        best = _plan_walk(rng, time, room)
-        best_room = _elbow_room(best, walks)
-        for _ in range(WALK_CANDIDATES):
+        best_room = -1.0
+        for _ in range(1 + WALK_CANDIDATES):
+            candidate = _plan_walk(rng, time, room)
+            elbow_room = _elbow_room(candidate, walks)
+            if elbow_room > best_room:
+                best, best_room = candidate, elbow_room
             if best_room >= 1.0:
                 break
-            candidate = _plan_walk(rng, time, room)
-            candidate_room = _elbow_room(candidate, walks)
-            if candidate_room > best_room:
-                best, best_room = candidate, candidate_room
         walks.append(best)
     return walks[len(others) :]
 

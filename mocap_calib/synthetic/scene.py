@@ -6,14 +6,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.synthetic.animals import move_animal
 from mocap_calib.synthetic.bodies import motion_times, move_person
-from mocap_calib.synthetic.config import ANIMAL_MOTION, CAMERA_HEIGHT, ROOM_SIDE, SimulateConfig
+from mocap_calib.synthetic.config import (
+    ANIMAL_MOTION,
+    CAMERA_AIM,
+    CAMERA_HEIGHT,
+    ROOM_SIDE,
+    SimulateConfig,
+)
 from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoint_files
 from mocap_calib.synthetic.paths import plan_walks
-from mocap_calib.synthetic.rigs import ring_rig
-from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D, Record
+from mocap_calib.synthetic.signals import direction, turn_about
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Keypoints2D, Record
+
+_DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,26 +66,9 @@ def simulate(config: SimulateConfig = SimulateConfig()) -> Scene:
     kinds = ("people",) * config.people + config.kinds_of_animals
     joints = {kind: load_skeleton(kind).keypoints for kind in dict.fromkeys(kinds)}
     detected = joints | ({"people": LAYOUTS[config.layout]} if config.people else {})
-    rig = ring_rig(
-        rng_rig,
-        cameras=config.cameras,
-        radius=config.ring_radius / config.scale,
-        height=CAMERA_HEIGHT,
-        size=config.size,
-        distortion=config.distortion,
-        arc_deg=config.arc_deg,
-    )
-    detections = detect(
-        rng_detector,
-        rig,
-        _join_bodies(bodies, kinds, joints, detected),
-        layout=_join_names(detected),
-        noise_px=config.noise_px,
-        missing=config.missing,
-        outliers=config.outliers,
-        false_detections=config.false_detections,
-        shuffle=config.shuffle,
-    )
+    rig = ring_rig(rng_rig, config)
+    seen = _join_bodies(bodies, kinds, joints, detected)
+    detections = detect(rng_detector, rig, seen, _join_names(detected), config)
     return Scene(
         rig=replace(rig, translation=rig.translation * config.scale),
         joints=_join_names(joints),
@@ -130,7 +122,7 @@ def _join_names(joints: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
 
 
 def _check(config: SimulateConfig) -> None:
-    """Raise MismatchError where there is nobody, no time, or a kind of animal that is not known."""
+    """Raise MismatchError where a number of a scene is none that it can be, or a kind unknown."""
     unknown = sorted(set(config.kinds_of_animals) - set(ANIMAL_MOTION))
     if unknown:
         raise MismatchError(
@@ -139,11 +131,78 @@ def _check(config: SimulateConfig) -> None:
             ", ".join(unknown),
             "choose among those",
         )
-    if min(config.people + len(config.kinds_of_animals), config.frames, config.fps) <= 0:
+    bodies = config.people + len(config.kinds_of_animals)
+    positive = {"people and animals": bodies} | {
+        name: getattr(config, name) for name in ("cameras", "frames", "fps", "ring_radius")
+    }
+    positive["size"] = min(config.size)
+    shares = {name: getattr(config, name) for name in ("missing", "outliers", "false_detections")}
+    shares["arc_deg of 360"] = config.arc_deg / 360
+    wrong = [f"{name} {value}" for name, value in positive.items() if not value > 0]
+    wrong += [f"{name} {value}" for name, value in shares.items() if not 0 <= value <= 1]
+    if wrong or config.noise_px < 0 or config.layout not in LAYOUTS:
         raise MismatchError(
             "simulate",
-            "people or animals, and frames and fps above 0",
-            f"{config.people} people and {len(config.kinds_of_animals)} animals, "
-            f"{config.frames} frames, {config.fps} fps",
-            "raise what is 0",
+            "numbers above 0, shares in 0..1, noise_px of 0 or more and layout "
+            + " or ".join(LAYOUTS),
+            ", ".join(wrong) or f"noise_px {config.noise_px}, layout {config.layout}",
+            "correct that value",
         )
+
+
+# --- the rig
+
+
+def ring_rig(rng: np.random.Generator, config: SimulateConfig) -> CameraRig:
+    """Return a rig of cameras cam1, cam2, ... that stand around the middle of a room, in metres.
+
+    All look at the middle, but no two alike: places, aims, focal lengths and rolls differ by a few
+    per cent or degrees. The room is one for people, before it is scaled to that of animals.
+    """
+    cameras = config.cameras
+    # a full ring has as many gaps as cameras, an arc one less
+    gaps = cameras if config.arc_deg == 360 else max(cameras - 1, 1)
+    start = rng.uniform(0, 2 * np.pi)
+    place = np.arange(cameras) + rng.uniform(-0.1, 0.1, cameras)
+    azimuth = start + np.radians(config.arc_deg) / gaps * place
+    distance = config.ring_radius / config.scale * (1 + rng.uniform(-0.08, 0.08, cameras))
+    up = CAMERA_HEIGHT * (1 + rng.uniform(-0.15, 0.15, cameras))
+    level = distance[:, None] * direction(azimuth)
+    centres = np.concatenate([level, up[:, None]], axis=-1)
+    aims = np.array(CAMERA_AIM) + rng.normal(0, [0.25, 0.25, 0.1], (cameras, 3))
+    roll = np.radians(rng.normal(0, 2.0, cameras))
+    rotation = turn_about(roll) @ looking_along(aims - centres, _DOWN)
+    translation = -np.einsum("vij,vj->vi", rotation, centres)
+    made = tuple(_random_camera(rng, f"cam{k + 1}", config) for k in range(cameras))
+    return CameraRig(made, rotation, translation, "m")
+
+
+def _random_camera(rng: np.random.Generator, name: str, config: SimulateConfig) -> Camera:
+    """Return a camera about 62 degrees wide, a fisheye about 105."""
+    width, height = config.size
+    fisheye = config.distortion == "fisheye"
+    usual_focal = width * (0.55 if fisheye else 0.85)
+    focal = usual_focal * rng.uniform(0.93, 1.07)
+    middle = np.array([(width - 1) / 2, (height - 1) / 2])
+    centre_x, centre_y = middle + rng.uniform(-0.01, 0.01, 2) * width
+    focal_y = focal * rng.uniform(0.998, 1.002)
+    matrix = np.array([[focal, 0, centre_x], [0, focal_y, centre_y], [0, 0, 1]])
+    coefficients = _random_coefficients(rng, config.distortion)
+    return Camera(name, config.size, matrix, coefficients, fisheye)
+
+
+def _random_coefficients(rng: np.random.Generator, distortion: str) -> Floats:
+    """Return distortion coefficients, as in OpenCV: `[5]`, or `[4]` of a fisheye.
+
+    The distorted radius grows with the radius everywhere: nothing folds back into the image.
+    Brown: 1 + 3 k1 r^2 + 5 k2 r^4 > 0 for all r, since 9 k1^2 < 20 k2. Fisheye: likewise up to 90
+    degrees.
+    """
+    if distortion == "none":
+        return np.zeros(5)
+    if distortion == "brown":
+        k1, k2 = rng.uniform(-0.28, -0.18), rng.uniform(0.06, 0.1)
+        p1, p2 = rng.normal(0, 5e-4, 2)
+        return np.array([k1, k2, p1, p2, 0.0])
+    k1, k2 = rng.uniform(-0.04, -0.01), rng.uniform(-0.002, 0.002)
+    return np.array([k1, k2, 0.0, 0.0])

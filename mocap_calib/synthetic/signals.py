@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import Floats
 
 _WAVES = 6  # that a random signal is the sum of
@@ -70,3 +71,8 @@ def direction(angle: Floats) -> Floats:
 def left_of(ahead: Floats) -> Floats:
     """Return vectors `[..., 2]` turned by a quarter to the left."""
     return np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
+
+
+def turn_about(angle: Floats, axis: int = 2) -> Floats:
+    """Return rotations `[..., 3, 3]` by angles `[...]` in radians about a coordinate axis."""
+    return matrix_from_vector(np.asarray(angle)[..., None] * np.eye(3)[axis])

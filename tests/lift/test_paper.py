@@ -44,7 +44,8 @@ from mocap_calib.paper.solver import (
     translation_direction,
     with_dummies,
 )
-from mocap_calib.synthetic import people
+from mocap_calib.synthetic.bodies import motion_times, move_person
+from mocap_calib.synthetic.paths import plan_walks
 from mocap_calib.training import PairsConfig, TrainConfig
 from mocap_calib.training.model import (
     LifterModule,
@@ -300,7 +301,10 @@ def steered_scene() -> tuple[TwoViews, torch.Tensor, torch.Tensor]:
 
     The order of the people in the second view is reversed.
     """
-    made = people(np.random.default_rng(3), individuals=2, frames=3, fps=1.0, room=(2.0, 2.0))
+    rng = np.random.default_rng(3)
+    time, seen = motion_times(frames=3, fps=1.0)
+    walks = plan_walks(rng, time, 2, (2.0, 2.0))
+    made = np.stack([move_person(rng, time, walk)[seen] for walk in walks], axis=1)
     centre = np.array([[4.0, -4.0, 1.4], [5.5, 1.0, 1.6]])
     rotation = looking_along(np.array([0.0, 0.0, 0.9]) - centre, np.array([0.0, 0.0, -1.0]))
     rays = [unit((made - centre[view]) @ rotation[view].T) for view in range(2)]

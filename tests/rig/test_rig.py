@@ -42,7 +42,8 @@ from mocap_calib.rig.view_graph import (
     takes_all_pairs,
     usable_cameras,
 )
-from mocap_calib.synthetic import ring_rig
+from mocap_calib.synthetic.config import SimulateConfig
+from mocap_calib.synthetic.scene import ring_rig
 from mocap_calib.types import CameraRig, Recording, Sample, silent
 
 CONFIG = AveragingConfig()
@@ -209,7 +210,7 @@ def test_a_single_camera_goes_where_its_best_pair_is_and_none_without_a_pair_of_
 
 def hall() -> CameraRig:
     rng = np.random.default_rng(0)
-    return ring_rig(rng, cameras=24, radius=5.0, height=2.0, size=(1920, 1080), distortion="none")
+    return ring_rig(rng, SimulateConfig(cameras=24, radius=5.0, size=(1920, 1080)))
 
 
 def backwards(pair: PairwiseCalibration) -> PairwiseCalibration:

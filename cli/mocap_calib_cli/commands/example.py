@@ -52,7 +52,7 @@ def command(typed: Typed) -> None:
         for known, about in _ABOUT.items():
             click.echo(f"{known:8}{about}")
         return
-    from mocap_calib.synthetic import simulate
+    from mocap_calib.synthetic.scene import simulate
     from mocap_calib.synthetic.scene_files import check_own_files, scene_files, write_scene
     from mocap_calib_cli.commands.simulate import format_command
     from mocap_calib_cli.screen import Reporter

@@ -105,7 +105,7 @@ def command(typed: Typed) -> None:
       mocap-calib simulate -o scene --kind people:2 --kind quadruped
     """
     from mocap_calib.errors import count
-    from mocap_calib.synthetic import simulate
+    from mocap_calib.synthetic.scene import simulate
     from mocap_calib.synthetic.scene_files import describe_kinds, write_scene
     from mocap_calib_cli.screen import Reporter
 
