@@ -17,7 +17,7 @@ from mocap_calib.config import (
     ViewGraphConfig,
     WorldConfig,
 )
-from mocap_calib_cli import names, values
+from mocap_calib_cli import names, numbers, values
 
 STDIO = "-"
 
@@ -69,11 +69,7 @@ def _choice(flag: str, choices: tuple[str, ...], default: str, help: str) -> cli
 
 _ALL: tuple[click.Parameter, ...] = (
     click.Argument(
-        ["keypoints"],
-        nargs=-1,
-        required=True,
-        type=values.KEYPOINTS,
-        metavar="KEYPOINTS...",
+        ["keypoints"], nargs=-1, required=True, type=values.KEYPOINTS, metavar="KEYPOINTS..."
     ),
     click.Option(
         ["--format"],
@@ -196,7 +192,7 @@ _ALL: tuple[click.Parameter, ...] = (
     _choice("--device", ("cpu", "cuda"), "cpu", "Where the network computes."),
     click.Option(
         ["--individuals"],
-        type=values.COUNT,
+        type=numbers.COUNT,
         metavar="N",
         help="How many individuals there are, where you know it: never more get a name, and those "
         "best supported do. [default: as many as the recording needs]",
@@ -217,7 +213,7 @@ _ALL: tuple[click.Parameter, ...] = (
         "slow; through its own network with --model people_token), or five-point (its baseline).",
     ),
     click.Option(
-        ["--seed"], type=values.SEED, default=0, help="The same seed gives the same results."
+        ["--seed"], type=numbers.SEED, default=0, help="The same seed gives the same results."
     ),
     click.Option(
         ["--scheduler"],
@@ -315,51 +311,6 @@ _ALL: tuple[click.Parameter, ...] = (
     ),
 )
 SHARED: Mapping[str, click.Parameter] = {str(param.name): param for param in _ALL}
-
-
-def output_text(what: str) -> click.Option:
-    """Return `-o FILE` of a command whose result is text: stdout unless a file is given."""
-    return click.Option(
-        ["-o", "--output"],
-        default=STDIO,
-        type=values.ANY_PATH,
-        metavar="FILE",
-        help=f"Where to write the {what}; - is stdout.",
-    )
-
-
-def output_file(what: str) -> click.Option:
-    """Return `-o FILE` of a command whose result is a file."""
-    return _output("FILE", what)
-
-
-def output_folder(what: str) -> click.Option:
-    """Return `-o OUT` of a command whose result is a folder."""
-    return _output("OUT", what)
-
-
-def _output(metavar: str, what: str) -> click.Option:
-    """Return a required `-o` with a path."""
-    return click.Option(
-        ["-o", "--output"], type=values.FILE, required=True, metavar=metavar, help=what
-    )
-
-
-def as_json(what: str) -> click.Option:
-    """Return `--json`."""
-    return click.Option(["--json", "as_json"], is_flag=True, help=what)
-
-
-def output_poses() -> click.Option:
-    """Return `-o FILE` of a command whose result is the poses of a recording."""
-    return output_file(
-        "Poses: a .h5 file, or a .csv file (several individuals go to NAME_0.csv, NAME_1.csv, ...)."
-    )
-
-
-def rate_of_poses(help: str) -> click.Option:
-    """Return `--fps` of a command that reads poses."""
-    return click.Option(["--fps"], type=values.POSITIVE, help=help)
 
 
 def intrinsics_if_any(help: str) -> click.Option:

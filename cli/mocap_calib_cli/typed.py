@@ -10,7 +10,8 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from mocap_calib_cli.options import SHARED
+from mocap_calib_cli import numbers, values
+from mocap_calib_cli.options import SHARED, STDIO
 
 
 class Typed:
@@ -86,3 +87,51 @@ def as_command(name: str, *params: str | click.Parameter) -> Callable[[Run], Com
         )
 
     return make
+
+
+# --- parameters that many commands have, each with a help of its own
+
+
+def output_text(what: str) -> click.Option:
+    """Return `-o FILE` of a command whose result is text: stdout unless a file is given."""
+    return click.Option(
+        ["-o", "--output"],
+        default=STDIO,
+        type=values.ANY_PATH,
+        metavar="FILE",
+        help=f"Where to write the {what}; - is stdout.",
+    )
+
+
+def output_file(what: str) -> click.Option:
+    """Return `-o FILE` of a command whose result is a file."""
+    return _output("FILE", what)
+
+
+def output_folder(what: str) -> click.Option:
+    """Return `-o OUT` of a command whose result is a folder."""
+    return _output("OUT", what)
+
+
+def _output(metavar: str, what: str) -> click.Option:
+    """Return a required `-o` with a path."""
+    return click.Option(
+        ["-o", "--output"], type=values.FILE, required=True, metavar=metavar, help=what
+    )
+
+
+def as_json(what: str) -> click.Option:
+    """Return `--json`."""
+    return click.Option(["--json", "as_json"], is_flag=True, help=what)
+
+
+def output_poses() -> click.Option:
+    """Return `-o FILE` of a command whose result is the poses of a recording."""
+    return output_file(
+        "Poses: a .h5 file, or a .csv file (several individuals go to NAME_0.csv, NAME_1.csv, ...)."
+    )
+
+
+def rate_of_poses(help: str) -> click.Option:
+    """Return `--fps` of a command that reads poses."""
+    return click.Option(["--fps"], type=numbers.POSITIVE, help=help)

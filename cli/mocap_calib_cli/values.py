@@ -1,11 +1,10 @@
 """The types of arguments: what is typed, as the value that the library takes, or a refusal.
 
-`Written` values have a form of their own (`cam1:-3`), `PathOf` a word on what is missing, numbers
-have bounds; each offers to the shell what it may become. Readers are imported when a value needs
-them, so that --help is quick; torch never is.
+`Written` values have a form of their own (`cam1:-3`), `PathOf` a word on what is missing; each
+offers to the shell what it may become. Readers are imported when a value needs them, so that --help
+is quick; torch never is.
 """
 
-import math
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -142,46 +141,7 @@ FILE = click.Path(path_type=Path)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
-# --- numbers
-
-
-class Number(click.FloatRange):
-    """A number within bounds; infinity and NaN are none."""
-
-    name = "number"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Return the number. Raises click's BadParameter."""
-        try:
-            number = super().convert(value, param, ctx)
-        except click.BadParameter:
-            number = math.nan
-        if not math.isfinite(number):
-            self.fail(f"expected a number{_describe_bounds(self)}, found {value}", param, ctx)
-        return number
-
-
-class WholeNumber(click.IntRange):
-    """A whole number within bounds."""
-
-    name = "integer"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Return the number. Raises click's BadParameter."""
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter:
-            bounds = _describe_bounds(self)
-            self.fail(f"expected a whole number{bounds}, found {value}", param, ctx)
-
-
-def _describe_bounds(kind: click.IntRange | click.FloatRange) -> str:
-    """Return what the bounds of a number are, in words."""
-    if kind.max is not None:
-        return f" from {kind.min:g} to {kind.max:g}"
-    return f" above {kind.min:g}" if kind.min_open else f" of {kind.min:g} or more"
+# --- shares
 
 
 def _share(text: str) -> float:
@@ -193,11 +153,6 @@ def _share(text: str) -> float:
     return share
 
 
-COUNT = WholeNumber(min=1)
-SEED = WholeNumber(min=0)
-SHARE = Number(min=0, max=1)
-NOT_NEGATIVE = Number(min=0)
-POSITIVE = Number(min=0, min_open=True)
 PERCENTAGE = Written("SHARE", "a share of up to 100%, as 5% or 0.05", _share)
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mocap_calib_cli import option_files, options, values
+from mocap_calib_cli import numbers, option_files, options, values
 from mocap_calib_cli.commands.run import command as run
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, as_json, output_folder
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
@@ -38,7 +38,7 @@ _REFUSED = "refused"  # stands for the verdict where files or data do not allow 
 
 @as_command(
     "batch",
-    options.output_folder("Folder to write: OUT/NAME of recording NAME."),
+    output_folder("Folder to write: OUT/NAME of recording NAME."),
     click.Argument(
         ["recordings"], nargs=-1, required=True, type=values.RECORDINGS, metavar="RECORDINGS..."
     ),
@@ -47,11 +47,11 @@ _REFUSED = "refused"  # stands for the verdict where files or data do not allow 
     ),
     click.Option(
         ["--jobs"],
-        type=values.COUNT,
+        type=numbers.COUNT,
         default=1,
         help="Recordings at a time, in processes of this machine.",
     ),
-    options.as_json("Write the summary to stdout."),
+    as_json("Write the summary to stdout."),
 )
 def command(typed: Typed) -> int:
     """Calibrate many recordings as `run` does: one after the other, in processes, or on a cluster.

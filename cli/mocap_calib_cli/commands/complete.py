@@ -3,12 +3,12 @@
 import click
 
 from mocap_calib_cli import names, options
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, output_folder
 
 
 @as_command(
     "complete",
-    options.output_folder("Folder to write a keypoint file per camera to."),
+    output_folder("Folder to write a keypoint file per camera to."),
     click.Option(
         ["--to"],
         default="coco",

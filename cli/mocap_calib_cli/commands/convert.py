@@ -10,7 +10,7 @@ import click
 
 from mocap_calib_cli import names, options, values
 from mocap_calib_cli.options import STDIO
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, rate_of_poses
 
 if TYPE_CHECKING:
     from mocap_calib.io.conversion import Conversion
@@ -50,7 +50,7 @@ _OPTIONS_OF = {
         type=click.Choice(["m", "cm", "mm"]),
         help="What a length of 1 is in INPUT, where a file of another program does not say.",
     ),
-    options.rate_of_poses("Frames per second of poses, where the file does not say."),
+    rate_of_poses("Frames per second of poses, where the file does not say."),
     click.Option(
         ["--up"],
         type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]),

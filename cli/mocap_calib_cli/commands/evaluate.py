@@ -5,8 +5,8 @@ from typing import Any
 
 import click
 
-from mocap_calib_cli import options, values
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli import values
+from mocap_calib_cli.typed import Typed, as_command, as_json
 
 
 @as_command(
@@ -19,7 +19,7 @@ from mocap_calib_cli.typed import Typed, as_command
         metavar="REFERENCE",
         help="File with the reference calibration; - reads stdin.",
     ),
-    options.as_json("Figures as JSON instead of a table."),
+    as_json("Figures as JSON instead of a table."),
 )
 def command(typed: Typed) -> None:
     """Compare CAMERAS with a reference calibration.

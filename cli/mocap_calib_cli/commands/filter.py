@@ -3,8 +3,8 @@
 import click
 
 from mocap_calib.config import FILTER_METHODS, FilterConfig
-from mocap_calib_cli import names, options, values
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli import names, numbers, values
+from mocap_calib_cli.typed import Typed, as_command, output_file, rate_of_poses
 
 
 def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
@@ -19,7 +19,7 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
 @as_command(
     "filter",
     click.Argument(["poses"], type=values.POSES, metavar="POSES"),
-    options.output_file("The filtered poses; the ending of the name says the format."),
+    output_file("The filtered poses; the ending of the name says the format."),
     click.Option(
         ["--to"],
         type=names.WRITTEN_FORMAT,
@@ -35,7 +35,7 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
     ),
     click.Option(
         ["--cutoff"],
-        type=values.POSITIVE,
+        type=numbers.POSITIVE,
         default=FilterConfig.cutoff,
         metavar="HZ",
         help="Of butterworth; needs the frames per second.",
@@ -49,7 +49,7 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
     ),
     click.Option(
         ["--window"],
-        type=values.COUNT,
+        type=numbers.COUNT,
         callback=_check_parity,
         default=FilterConfig.window,
         metavar="FRAMES",
@@ -57,11 +57,11 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
     ),
     click.Option(
         ["--polynomial"],
-        type=values.COUNT,
+        type=numbers.COUNT,
         default=FilterConfig.polynomial,
         help="Order of savgol's.",
     ),
-    options.rate_of_poses("Frames per second, where the file does not say."),
+    rate_of_poses("Frames per second, where the file does not say."),
     "quiet",
 )
 def command(typed: Typed) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from mocap_calib_cli import options
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, as_json
 
 _COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
 _COLUMNS = {  # heading -> what it means
@@ -38,7 +38,7 @@ _LISTED_GAPS = 5
         is_flag=True,
         help="Find out whether the clocks of the cameras differ, which takes some seconds.",
     ),
-    options.as_json("Write everything as JSON."),
+    as_json("Write everything as JSON."),
 )
 def command(typed: Typed) -> int:
     """Say what is in KEYPOINTS, and what would make a run fail.

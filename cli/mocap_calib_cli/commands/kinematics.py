@@ -4,20 +4,20 @@ from pathlib import Path
 
 import click
 
-from mocap_calib_cli import names, options, values
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli import names, values
+from mocap_calib_cli.typed import Typed, as_command, output_folder, rate_of_poses
 
 
 @as_command(
     "kinematics",
     click.Argument(["poses"], nargs=-1, required=True, type=values.POSES, metavar="POSES..."),
-    options.output_folder("Folder to write the tables to; made when missing."),
+    output_folder("Folder to write the tables to; made when missing."),
     click.Option(
         ["--from", "format"],
         type=names.POSE_FORMAT,
         help="Format of POSES, where their content does not show it.",
     ),
-    options.rate_of_poses("Frames per second, where the file does not say."),
+    rate_of_poses("Frames per second, where the file does not say."),
     "skeleton",
     "quiet",
 )

@@ -4,14 +4,13 @@ import json
 
 import click
 
-from mocap_calib_cli import options
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, as_json
 
 # of the RMS radius of the visible pose
 _ERRORS = {"joint_3d": "3D error", "steered_2d": "steered", "completed_2d": "completed"}
 
 
-@as_command("models", options.as_json("Write the whole model cards."))
+@as_command("models", as_json("Write the whole model cards."))
 def command(typed: Typed) -> None:
     """List the shipped models: their joints, training data, terms, and errors.
 

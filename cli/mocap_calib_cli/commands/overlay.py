@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib_cli import options, values
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, output_folder
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,7 +41,7 @@ def _check_cameras(
         callback=_check_cameras,
         help="Video of a camera; once for each camera that is wanted.",
     ),
-    options.output_folder("Folder to write; made when missing."),
+    output_folder("Folder to write; made when missing."),
     click.Option(
         ["--frames"],
         type=values.FRAMES,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib_cli import option_files, options
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, as_json, output_folder
 
 if TYPE_CHECKING:
     from mocap_calib.job.results import WrittenGroup
@@ -21,13 +21,13 @@ _NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video 
 
 @as_command(
     "run",
-    options.output_folder("Folder to write; made when missing."),
+    output_folder("Folder to write; made when missing."),
     "keypoints",
     *options.calibration(
         "File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
         "- reads stdin. Without it they are estimated from the recording."
     ),
-    options.as_json("Write the content of run.json to stdout as well."),
+    as_json("Write the content of run.json to stdout as well."),
     option_files.CONFIG,
     option_files.SAVE_CONFIG,
 )

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from mocap_calib.synthetic.config import ANIMAL_MOTION, SimulateConfig
-from mocap_calib_cli import values
+from mocap_calib_cli import numbers, values
 from mocap_calib_cli.typed import Typed, as_command
 
 _DEFAULT = SimulateConfig()
@@ -24,7 +24,7 @@ def _read_kind(text: str) -> tuple[str, int]:
         raise click.BadParameter(f"expected one of {', '.join(_KINDS)}, found {kind or 'nothing'}")
     if colon and not number:
         raise click.BadParameter(f"expected a number after the colon, as {kind}:2, found none")
-    return kind, values.COUNT.convert(number, None, None) if colon else 1
+    return kind, numbers.COUNT.convert(number, None, None) if colon else 1
 
 
 _KIND = values.Written("KIND[:N]", read=_read_kind, offers=lambda: dict.fromkeys(_KINDS, ""))
@@ -46,10 +46,10 @@ def _option(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> cl
         metavar="OUT",
         help="Folder to write; made when missing.",
     ),
-    _option("--cameras", values.COUNT, "Number of cameras around the room."),
+    _option("--cameras", numbers.COUNT, "Number of cameras around the room."),
     click.Option(
         ["--people"],
-        type=values.COUNT,
+        type=numbers.COUNT,
         help="Number of people who walk about and gesture.  [default: 3; with --kind: none]",
     ),
     click.Option(
@@ -59,12 +59,12 @@ def _option(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> cl
         help="Who goes about, and how many: people, quadruped (a dog), rodent (a rat) or bird (a "
         "pigeon); may be repeated.",
     ),
-    _option("--frames", values.COUNT, "Length of the recording."),
-    _option("--fps", values.POSITIVE, "Frames a second."),
-    _option("--noise", values.NOT_NEGATIVE, "RMS error of a coordinate.", metavar="PIXELS"),
-    _option("--missing", values.SHARE, "Share of joints that are not found."),
-    _option("--outliers", values.SHARE, "Share of joints that are found somewhere else."),
-    _option("--false-detections", values.SHARE, "Share of images with a detection of nobody."),
+    _option("--frames", numbers.COUNT, "Length of the recording."),
+    _option("--fps", numbers.POSITIVE, "Frames a second."),
+    _option("--noise", numbers.NOT_NEGATIVE, "RMS error of a coordinate.", metavar="PIXELS"),
+    _option("--missing", numbers.SHARE, "Share of joints that are not found."),
+    _option("--outliers", numbers.SHARE, "Share of joints that are found somewhere else."),
+    _option("--false-detections", numbers.SHARE, "Share of images with a detection of nobody."),
     _option(
         "--distortion", click.Choice(["none", "brown", "fisheye"]), "Distortion of the lenses."
     ),
@@ -75,13 +75,13 @@ def _option(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> cl
     ),
     _option(
         "--radius",
-        values.POSITIVE,
+        numbers.POSITIVE,
         "From the middle to the cameras.  [default: 4.5; less for animals alone]",
         metavar="METRES",
     ),
     _option(
         "--arc",
-        values.Number(min=0, max=360),
+        numbers.Number(min=0, max=360),
         "Over which cameras are spread.",
         metavar="DEGREES",
     ),
@@ -90,7 +90,7 @@ def _option(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> cl
         default=_DEFAULT.shuffle,
         help="Put the detections of each image in random order.",
     ),
-    _option("--seed", values.SEED, "The same seed gives the same bytes."),
+    _option("--seed", numbers.SEED, "The same seed gives the same bytes."),
     "quiet",
 )
 def command(typed: Typed) -> None:

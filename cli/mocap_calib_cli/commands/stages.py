@@ -6,12 +6,12 @@ import click
 
 from mocap_calib_cli import options, values
 from mocap_calib_cli.options import STDIO
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, output_poses, output_text
 
 
 @as_command(
     "pairwise",
-    options.output_text("pairs (JSON)"),
+    output_text("pairs (JSON)"),
     "cameras",
     *options.MODEL,
     "pairs",
@@ -54,7 +54,7 @@ def pairwise(typed: Typed) -> None:
 @as_command(
     "average",
     click.Argument(["pairs"], type=values.PAIRS, metavar="PAIRS"),
-    options.output_text("cameras (YAML)"),
+    output_text("cameras (YAML)"),
     "quiet",
 )
 def average(typed: Typed) -> None:
@@ -90,7 +90,7 @@ def average(typed: Typed) -> None:
 
 @as_command(
     "match",
-    options.output_text("matches (CSV)"),
+    output_text("matches (CSV)"),
     "rig",
     *options.MODEL,
     "individuals",
@@ -125,7 +125,7 @@ def match(typed: Typed) -> None:
 
 @as_command(
     "adjust",
-    options.output_text("adjusted cameras (YAML)"),
+    output_text("adjusted cameras (YAML)"),
     click.Option(
         ["--matches-out"],
         type=values.ANY_PATH,
@@ -185,7 +185,7 @@ def adjust(typed: Typed) -> int:
 
 
 @as_command(
-    "triangulate", options.output_poses(), "rig", "matches", "skeleton", *options.KEYPOINTS, "quiet"
+    "triangulate", output_poses(), "rig", "matches", "skeleton", *options.KEYPOINTS, "quiet"
 )
 def triangulate(typed: Typed) -> None:
     """Triangulate the 3D poses of all individuals in all frames.
@@ -208,7 +208,7 @@ def triangulate(typed: Typed) -> None:
 
 @as_command(
     "smooth",
-    options.output_poses(),
+    output_poses(),
     "rig",
     "matches",
     "skeleton",

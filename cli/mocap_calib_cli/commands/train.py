@@ -11,8 +11,8 @@ import click
 
 from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.training import PairsConfig, TrainConfig
-from mocap_calib_cli import names, options, values
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli import names, numbers, values
+from mocap_calib_cli.typed import Typed, as_command, as_json, output_file
 
 if TYPE_CHECKING:
     from mocap_calib.training.model import Model
@@ -38,23 +38,23 @@ def _size(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> clic
 
 
 _SIZES = (
-    _size("--steps", values.COUNT, "Batches to train on."),
-    _size("--batch", values.COUNT, "Poses in a batch."),
+    _size("--steps", numbers.COUNT, "Batches to train on."),
+    _size("--batch", numbers.COUNT, "Poses in a batch."),
     _size(
         "--width",
-        values.WholeNumber(min=ENCODER_HEADS),
+        numbers.WholeNumber(min=ENCODER_HEADS),
         f"Size of a token; a multiple of {ENCODER_HEADS}.",
         callback=_check_width,
     ),
-    _size("--layers", values.COUNT, "Layers of the encoder."),
-    _size("--learning-rate", values.POSITIVE, "Peak of the schedule."),
+    _size("--layers", numbers.COUNT, "Layers of the encoder."),
+    _size("--learning-rate", numbers.POSITIVE, "Peak of the schedule."),
 )
 
 
 @as_command(
     "train",
     click.Argument(["poses"], nargs=-1, type=values.FILE, metavar="[POSES...]"),
-    options.output_file("Weights to write (.safetensors); the model card is inside."),
+    output_file("Weights to write (.safetensors); the model card is inside."),
     click.Option(
         ["--from", "calibrated"],
         type=values.FILE,
@@ -82,7 +82,7 @@ _SIZES = (
     ),
     click.Option(
         ["--procedural"],
-        type=values.SHARE,
+        type=numbers.SHARE,
         metavar="SHARE",
         help="Share of bodies made from the skeleton's file. [default: half beside POSES, all "
         "without]",
@@ -91,7 +91,7 @@ _SIZES = (
     "seed",
     "device",
     "quiet",
-    click.Option(["--threads"], type=values.COUNT, default=1, help="Threads of torch."),
+    click.Option(["--threads"], type=numbers.COUNT, default=1, help="Threads of torch."),
     click.Option(
         ["--data"],
         default="",
@@ -104,7 +104,7 @@ _SIZES = (
         metavar="TEXT",
         help="For the model card: the terms of the data.",
     ),
-    options.as_json("Write the held-out errors to stdout."),
+    as_json("Write the held-out errors to stdout."),
 )
 def command(typed: Typed) -> None:
     """Train a lifter on 3D poses, on bodies made from the skeleton's file, or on both.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mocap_calib_cli import names, options, values
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, as_json
 
 if TYPE_CHECKING:
     from mocap_calib.results import Verification
@@ -42,7 +42,7 @@ _CALIBRATION = values.PathOf(
     "seed",
     "strict",
     "quiet",
-    options.as_json("Figures as JSON instead of a table."),
+    as_json("Figures as JSON instead of a table."),
 )
 def command(typed: Typed) -> int:
     """Judge the calibration CAMERAS by KEYPOINTS of moving subjects, and say which camera moved.
