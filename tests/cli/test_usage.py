@@ -214,7 +214,7 @@ RUN = "run k --cameras i.toml -o o"
         (f"{RUN} --write colmap --write pose2sim", "convert OUT/cameras.yaml NEW --to pose2sim"),
         ("batch a -o o --write fbx", "--write: expected one of poses-h5, "),
         ("scale out", "expected a known length, found none; say --height"),
-        ("adjust k --rig - --matches -", "--rig and --matches cannot both come from stdin"),
+        (f"adjust {EXAMPLE}/keypoints --rig - --matches - -q", "--rig and --matches cannot both"),
     ],
 )
 def test_wrong_usage_says_what_was_expected(line, said, tool, tmp_path):
