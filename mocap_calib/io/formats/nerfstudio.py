@@ -37,6 +37,8 @@ _OPENGL_AXES = np.array([1.0, -1.0, -1.0])
 _PINHOLE_TERMS = ("k1", "k2", "p1", "p2", "k3")
 _FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
 _FOLDER = "images/"
+_MODELS = "OPENCV, PINHOLE, SIMPLE_PINHOLE or OPENCV_FISHEYE"
+_EXPECTED = f"a frame with fl_x, cx, cy, transform_matrix and a camera_model of {_MODELS}"
 
 
 class _Frame(msgspec.Struct):
@@ -76,7 +78,7 @@ def read(document: Document) -> CameraFile:
 
 def _read_frame(fields: Mapping[str, Any], where: str) -> RawCamera:
     """Return the camera of a frame. Raises FormatError."""
-    frame = typed(_Frame, fields, where, "a frame of nerfstudio")
+    frame = typed(_Frame, fields, where, _EXPECTED)
     fisheye = frame.camera_model == "OPENCV_FISHEYE"
     if not fisheye and frame.k4 != 0:
         expected = "k1, k2, k3, p1, p2 of OpenCV's model"

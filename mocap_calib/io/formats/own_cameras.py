@@ -28,7 +28,7 @@ SUBFRAME = "clock_subframe_offset"  # of a camera: the part of a frame that come
 CONVENTION = "x_camera = R x_world + t; x right, y down, z forward; pixel centres are integers"
 _NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spaces
 _FORMAT = r"^format: *[\"']?mocap-calib cameras"
-_EXPECTED = "a camera with name, size, model, K, distortion"
+_EXPECTED = "name, size, K and a model of opencv, fisheye or pinhole"
 _Sigma = Annotated[float, msgspec.Meta(ge=0, le=1e300)]
 
 
@@ -69,7 +69,6 @@ class _Camera(msgspec.Struct):
 
 
 class _File(msgspec.Struct):
-    version: Literal[1]
     cameras: list[_Camera]
     unit: Any = ""
     provenance: Any = None
@@ -83,18 +82,22 @@ def sniff(document: Document) -> bool:
 
 def read(document: Document) -> CameraFile:
     """Read the cameras. Raises FormatError."""
-    expected = f"cameras of version {VERSION} with name, size, model, K, distortion"
-    file = typed(_File, document.mapping(), document.source, expected)
-    found = collect_cameras(
+    data = document.mapping()
+    if data.get("version") != VERSION:
+        found = f"version {data.get('version')}"
+        expected = f"version {VERSION} of our cameras"
+        raise document.refuse(expected, found, "use the program that wrote it")
+    file = typed(_File, data, document.source, f"cameras with {_EXPECTED}")
+    rig = collect_cameras(
         (each.raw() for each in file.cameras),
         document.source,
         unit=file.unit,
         provenance=file.provenance,
     )
-    pairs = list(zip(file.cameras, found.cameras, strict=True))
+    pairs = list(zip(file.cameras, rig.cameras, strict=True))
     clocks = (_read_clock(fields, camera.name) for fields, camera in pairs)
     return replace(
-        found,
+        rig,
         cameras=tuple(fields.mark(camera) for fields, camera in pairs),
         clocks=tuple(clock for clock in clocks if clock is not None),
         world=read_world(file.world),
@@ -103,7 +106,7 @@ def read(document: Document) -> CameraFile:
 
 def camera_from_fields(fields: Any, source: str) -> Camera:
     """Return the camera that `camera_fields` wrote. Raises FormatError."""
-    read = typed(_Camera, fields, source, _EXPECTED)
+    read = typed(_Camera, fields, source, f"a camera with {_EXPECTED}")
     camera, _ = read.raw().check(source)
     return read.mark(camera)
 
