@@ -67,8 +67,11 @@ class Worker:
             process = self._running()
             timer = _kill_later(process, cpu_seconds)
             try:
-                _send(process, (cpu_seconds, memory_bytes, function, arguments))
-                answer = _receive(process)
+                call = cpu_seconds, memory_bytes, function, arguments
+                calls, answers = cast(BinaryIO, process.stdin), cast(BinaryIO, process.stdout)
+                pickle.dump(call, calls, protocol=5)
+                calls.flush()
+                answer = pickle.load(answers)  # of our own process: nobody else's pickle
             except (EOFError, OSError, pickle.UnpicklingError):
                 raise WorkerEndedError(self.end()) from None
             except BaseException:
@@ -137,16 +140,6 @@ def _kill_later(process: "subprocess.Popen[bytes]", cpu_seconds: float) -> threa
     timer.daemon = True
     timer.start()
     return timer
-
-
-def _send(process: "subprocess.Popen[bytes]", call: Any) -> None:
-    pipe = cast(BinaryIO, process.stdin)
-    pickle.dump(call, pipe, protocol=5)
-    pipe.flush()
-
-
-def _receive(process: "subprocess.Popen[bytes]") -> Any:
-    return pickle.load(cast(BinaryIO, process.stdout))  # of our own process: nobody else's pickle
 
 
 def serve() -> None:

@@ -111,7 +111,8 @@ def five_point_over_matches(
     def explained(pose: RelativePose) -> int:
         """Return how many joints of right matches are inliers."""
         inliers, seen = _inliers(rays_a, rays_b, pose, threshold)
-        return _count_inliers(inliers, seen, config.least_fit)
+        share = _share(inliers, seen)
+        return int((inliers * (mutual_best(share) & (share >= config.least_fit))).sum())
 
     drawn = map(estimate, _candidates(rays_a, rays_b, config.candidates, rng))
     found = [pose for pose in drawn if pose is not None]
@@ -128,37 +129,26 @@ def five_point_over_matches(
 def _candidates(
     rays_a: Floats, rays_b: Floats, most: int, rng: np.random.Generator
 ) -> Iterator[Bools]:
-    """Draw masks `[frame, I, J]` of one or two matches of one frame."""
+    """Draw masks `[frame, I, J]` of two matches of one frame, or of one where there are not two."""
     present_a, present_b = (
         np.isfinite(rays[..., 0]).sum(-1) >= FIVE_POINT_LEAST_JOINTS for rays in (rays_a, rays_b)
     )
-    possible = [
-        (frame, matches)
-        for frame in range(len(present_a))
-        for matches in _possible_matches(present_a[frame], present_b[frame])
-    ]
+    both = present_a[:, :, None] & present_b[:, None]  # [frame, I, J]
+    possible: list[tuple[int, list[list[int]]]] = []
+    for frame, matched in enumerate(both):
+        single = np.argwhere(matched).tolist()
+        double = [
+            [first, second]
+            for first, second in product(single, single)
+            if first[0] < second[0] and first[1] != second[1]
+        ]
+        possible += [(frame, matches) for matches in double or [[match] for match in single]]
     for k in rng.permutation(len(possible))[:most]:
         frame, matches = possible[k]
-        mask = np.zeros((*present_a.shape, present_b.shape[1]), dtype=bool)
+        mask = np.zeros_like(both)
         for i, j in matches:
             mask[frame, i, j] = True
         yield mask
-
-
-def _possible_matches(present_a: Bools, present_b: Bools) -> list[list[tuple[int, int]]]:
-    """Return all sets of two matches (i, j) of a frame, or of one where there are not two.
-
-    present: `[instance]` where there is a detection with enough joints.
-    """
-    single = [
-        (int(i), int(j)) for i, j in product(np.flatnonzero(present_a), np.flatnonzero(present_b))
-    ]
-    double = [
-        [first, second]
-        for first, second in product(single, single)
-        if first[0] < second[0] and first[1] != second[1]
-    ]
-    return double or [[match] for match in single]
 
 
 def _correspondences(rays_a: Floats, rays_b: Floats, matched: Bools) -> tuple[Floats, Floats]:
@@ -201,35 +191,26 @@ def _share(inliers: Ints, seen: Ints) -> Floats:
     return inliers / np.maximum(seen, 1) * (seen >= FIVE_POINT_LEAST_JOINTS)
 
 
-def _count_inliers(inliers: Ints, seen: Ints, least: float) -> int:
-    """Return how many joints of right matches are inliers, of the inliers of possible ones.
-
-    least: share of the joints of a right match that are inliers.
-    """
-    share = _share(inliers, seen)
-    return int((inliers * (mutual_best(share) & (share >= least))).sum())
-
-
-def find_by_five_point(pair: ViewPair, focal: float, *, config: FivePointConfig) -> Found | None:
+def find_by_five_point(
+    pair: ViewPair, focal: float, *, config: FivePointConfig = FivePointConfig()
+) -> Found | None:
     """Return the relative pose with most inliers, or None where nothing is matched.
 
     focal: of both views in pixels, the mean.
     """
-    rays_a, rays_b = pair.a.rays_or_nan, pair.b.rays_or_nan
-    threshold = config.inlier_px / focal
-    return five_point_over_matches(rays_a, rays_b, threshold, pair.rng, config=config)
+    rays = pair.a.rays_or_nan, pair.b.rays_or_nan
+    return five_point_over_matches(*rays, config.inlier_px / focal, pair.rng, config=config)
 
 
 @dataclass(frozen=True)
 class ReferencePairs:
     """A `solve.PairSolver` by a reference; what it finds is scored as any other relative pose.
 
-    find: of a problem and the mean focal length of both views, R and t of b_from_a and matches
-        `[match, 3]` (frame, instance in a, instance in b), or None. source: its name.
-    focal: `[view]` pixels.
+    find: of a problem and the mean focal length of both views, the pose, or None. source: its
+        name. focal: `[view]` pixels.
     """
 
-    find: Callable[[ViewPair, float], tuple[Floats, Floats, Ints] | None]
+    find: Callable[[ViewPair, float], Found | None]
     source: str
     focal: Floats
     pairwise: PairwiseConfig
@@ -241,15 +222,7 @@ class ReferencePairs:
         found = self.find(pair, mean_focal(pair, self.focal))
         if found is None:
             return None
-        rotation, translation, matches = found
-        return judge_pair(
-            pair,
-            rotation=rotation,
-            translation=translation,
-            matches=matches,
-            source=self.source,
-            config=self.pairwise,
-        )
+        return judge_pair(pair, **found._asdict(), source=self.source, config=self.pairwise)
 
 
 def choose_pair_solver(
@@ -265,8 +238,7 @@ def choose_pair_solver(
         return None
     focal = np.array([camera.focal for camera in recording.cameras])
     if name == "five-point":
-        find = partial(find_by_five_point, config=FivePointConfig())
-        return ReferencePairs(find, "five-point", focal, config)
+        return ReferencePairs(find_by_five_point, "five-point", focal, config)
     from mocap_calib.paper.solver import find_by_descent  # noqa: PLC0415 - torch: over 1 s
     from mocap_calib.training.model import load_steerer, module_of  # noqa: PLC0415
 

@@ -19,6 +19,7 @@ from mocap_calib.config import LEAST_FORWARD, LEAST_JOINTS
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.lift import rays_by_joint
 from mocap_calib.pairs.view_pair import ViewPair
+from mocap_calib.paper import Found
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.training import torch_threads
 from mocap_calib.training.model import Model, matrix_from_vector, normalise, prepare_steering
@@ -230,19 +231,17 @@ def solve_pairs(
     batch = stack_problems(problems)
     model = copy.deepcopy(model).requires_grad_(False)  # gradients of weights are not needed
     best: dict[int, PaperSolution] = {}
-    for number in range(1, config.tries + 1):
+    for number in range(config.tries):
         unsolved = [
             k for k in range(len(problems)) if k not in best or best[k].error >= config.success_px
         ]
         if not unsolved:
             break
-        vectors = start if number == 1 else None
-        if vectors is None:
-            vectors = random_rotations(len(unsolved), generator)
-        found = _descend(batch.select(unsolved), model, vectors, config)
+        if number > 0 or start is None:
+            start = random_rotations(len(unsolved), generator)
+        found = _descend(batch.select(unsolved), model, start, config)
         for k, solution in zip(unsolved, found, strict=True):
-            if k not in best or solution.error < best[k].error:
-                best[k] = solution
+            best[k] = min(best.get(k, solution), solution, key=lambda each: each.error)
     return [best[k] for k in sorted(best)]
 
 
@@ -401,10 +400,10 @@ def find_by_descent(
     model: Model,
     vocabulary: Ints,
     config: PaperConfig = PaperConfig(),
-) -> tuple[Floats, Floats, Ints]:
+) -> Found:
     """Return the relative pose that the descent through a network from random rotations ends in.
 
-    R and t of b_from_a, and matches `[match, 3]`. focal: of both views in pixels, the mean.
+    focal: of both views in pixels, the mean.
     vocabulary: `[keypoint]` index of each keypoint in the model's joints, -1 = none.
     """
     joints = model.config.joints
@@ -415,5 +414,6 @@ def find_by_descent(
     generator = torch.Generator().manual_seed(int(pair.rng.integers(2**62)))
     with torch_threads(1):
         (found,) = solve_pairs([TwoViews(rays_a, rays_b, focal)], model, config, generator)
-    frame, instances = found.matches[:, 0], found.matches[:, 1:]
-    return found.rotation, found.translation, np.column_stack([frames[frame], instances])
+    matches = found.matches.copy()
+    matches[:, 0] = frames[matches[:, 0]]
+    return Found(found.rotation, found.translation, matches)

@@ -10,7 +10,7 @@ from mocap_calib.recording.synchronise import split_by_view
 from mocap_calib.synthetic.bodies import JOINTS
 from mocap_calib.synthetic.config import FALSE_CONFIDENCE, FALSE_COPIES, SimulateConfig
 from mocap_calib.synthetic.signals import direction, turn_about
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, Record, check_shape
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, Record
 
 LAYOUTS: dict[str, tuple[str, ...]] = {"coco17": JOINTS[:17], "all": JOINTS}
 
@@ -30,11 +30,6 @@ class Detections(Record):
     positions: Floats
     confidence: Floats
     identity: Ints
-
-    def __post_init__(self) -> None:
-        shape = (*self.identity.shape, len(self.keypoints))
-        check_shape("detections: positions", self.positions, *shape, 2)
-        check_shape("detections: confidence", self.confidence, *shape)
 
 
 def detect(

@@ -98,8 +98,11 @@ def place_foot(walk: Walk, cycles: Floats, side: float, offsets: Floats) -> Foot
     level = here + moved + rolled[:, None] * direction(yaw)
     arch = np.sin(np.pi * np.clip(swing_phase, 0, 1)) ** 2
     clearance = (0.02 + 0.04 * strength) * arch
-    # the lowest point of the turned foot is what stands on the floor
-    height = clearance - _lowest_point(pitch, offsets) + _skin(offsets)
+    # the lowest point of the turned foot is what stands on the floor; heel and toes are joints
+    # inside of it
+    sine, cosine = np.sin(pitch)[:, None], np.cos(pitch)[:, None]
+    lowest = (-sine * offsets[:, 0] + cosine * offsets[:, 2]).min(1)
+    height = clearance - lowest + float(-0.35 * offsets[0, 2])
     return Foot(np.concatenate([level, height[:, None]], axis=1), yaw, pitch)
 
 
@@ -123,17 +126,6 @@ def _ankle_shift(pitch: Floats, offsets: Floats) -> Floats:
     pivot = np.where(np.asarray(pitch)[..., None] > 0, offsets[1], offsets[0])
     turned = np.cos(pitch) * pivot[..., 0] + np.sin(pitch) * pivot[..., 2]
     return np.asarray(pivot[..., 0] - turned)
-
-
-def _lowest_point(pitch: Floats, offsets: Floats) -> Floats:
-    """Return the height `[time]` over the ankle of the lowest joint of the pitched foot."""
-    sine, cosine = np.sin(pitch)[:, None], np.cos(pitch)[:, None]
-    return (-sine * offsets[:, 0] + cosine * offsets[:, 2]).min(1)
-
-
-def _skin(offsets: Floats) -> float:
-    """Return the height of heel and toes, joints inside the foot, over the sole; metres."""
-    return float(-0.35 * offsets[0, 2])
 
 
 def _foothold(walk: Walk, own_cycles: Floats, step: Floats, side: float) -> tuple[Floats, Floats]:

@@ -75,8 +75,11 @@ def _plan_walk(rng: np.random.Generator, time: Floats, room: tuple[float, float]
     enough = 1.6 * usual_speed * (time[-1] - time[0]) + 3.0
     path = _random_path(rng, room, enough)
     arc = _arc_length(path)
-    heading = _heading_along(path)
-    speed = _speed_in_turns(usual_speed * np.exp(0.15 * wander(rng, arc, 3.0)), heading)
+    tangent = np.gradient(path, _STEP, axis=0)
+    heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    curvature = np.abs(gaussian_filter1d(np.gradient(heading, _STEP), 5))
+    speed = usual_speed * np.exp(0.15 * wander(rng, arc, 3.0))
+    speed = np.minimum(speed, _TURN_RATE / np.maximum(curvature, 0.1))
     stops = _random_stops(rng, arc[-1])
     for stop in stops:
         braking = np.sqrt(2 * _BRAKING * np.abs(arc - stop)) + _LEAST_SPEED
@@ -96,18 +99,6 @@ def _random_stops(rng: np.random.Generator, length: float) -> Floats:
 def _arc_length(path: Floats) -> Floats:
     """Return how far along a path `[point, 2]` each point `[point]` is, in metres."""
     return np.linspace(0.0, _STEP * (len(path) - 1), len(path))
-
-
-def _heading_along(path: Floats) -> Floats:
-    """Return the direction `[point]` of a path `[point, 2]` in radians, unwrapped."""
-    tangent = np.gradient(path, _STEP, axis=0)
-    return np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
-
-
-def _speed_in_turns(speed: Floats, heading: Floats) -> Floats:
-    """Return the speed `[point]` where nobody turns faster than people do."""
-    curvature = np.abs(gaussian_filter1d(np.gradient(heading, _STEP), 5))
-    return np.minimum(speed, _TURN_RATE / np.maximum(curvature, 0.1))
 
 
 def _pause(

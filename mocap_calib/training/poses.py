@@ -62,7 +62,15 @@ def load_poses(path: Path, skeleton: Skeleton, split: Split, *, up: str = "+z") 
     """
     direction = up_direction(up)
     fields = _read(path)
-    found = _match_joints(fields["joints"], skeleton, path)
+    names = tuple(map(str, fields["joints"]))
+    found = match_names(names, skeleton)
+    if (found >= 0).sum() < LEAST_JOINTS:
+        raise MismatchError(
+            path,
+            f"joints of skeleton {skeleton.name}",
+            ", ".join(names),
+            "add the names to its aliases",
+        )
     poses = fields["poses"]
     keep = fields["split"] == split if "split" in fields else every_tenth(len(poses), split)
     subject = fields.get("subject", np.zeros(len(poses), dtype=np.int64))
@@ -73,22 +81,6 @@ def load_poses(path: Path, skeleton: Skeleton, split: Split, *, up: str = "+z") 
     bodies[:, found[known]] = stand_upright(given, direction)
     enough = np.isfinite(bodies[..., 0]).sum(1) >= LEAST_JOINTS
     return PoseSet(bodies[enough], _weight_by_subject(subject[keep][enough]))
-
-
-def _match_joints(names: NDArray[Any], skeleton: Skeleton, path: Path) -> NDArray[np.int64]:
-    """Return the index `[J]` in the skeleton of each name of a file, -1 = none.
-
-    Raises MismatchError where fewer than four are joints of the skeleton.
-    """
-    found = match_names(tuple(str(name) for name in names), skeleton)
-    if (found >= 0).sum() < LEAST_JOINTS:
-        raise MismatchError(
-            path,
-            f"joints of skeleton {skeleton.name}",
-            ", ".join(map(str, names)),
-            "add the names to its aliases",
-        )
-    return found
 
 
 def _weight_by_subject(subject: NDArray[Any]) -> Floats:
@@ -334,7 +326,9 @@ def own_poses(poses: Poses3D, skeleton: Skeleton, up: Floats, split: Split) -> P
 
     Raises DegenerateError where they are too few to learn from.
     """
-    bodies = _well_triangulated(poses)[every_tenth(len(poses.frames), split)]
+    largest = OWN_SPECIES_LARGEST_ERROR * _median(poses.error, axis=(0, 1, 2))
+    known = np.where((poses.error <= largest)[..., None], poses.positions, np.nan)
+    bodies = known[every_tenth(len(poses.frames), split)]
     bodies = bodies.reshape(-1, *bodies.shape[2:])  # [pose, keypoint, 3]
     found = match_names(poses.keypoints, skeleton)
     joints = np.full((len(bodies), len(skeleton.keypoints), 3), np.nan)
@@ -350,12 +344,6 @@ def own_poses(poses: Poses3D, skeleton: Skeleton, up: Floats, split: Split) -> P
             "record longer",
         )
     return PoseSet(stand_upright(joints[enough], up), np.full(count, 1.0 / count))
-
-
-def _well_triangulated(poses: Poses3D) -> Floats:
-    """Return the positions `[frame, individual, keypoint, 3]`, NaN where their error is large."""
-    largest = OWN_SPECIES_LARGEST_ERROR * _median(poses.error, axis=(0, 1, 2))
-    return np.where((poses.error <= largest)[..., None], poses.positions, np.nan)
 
 
 def own_skeleton(name: str, poses: Poses3D) -> Skeleton:

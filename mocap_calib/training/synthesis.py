@@ -13,11 +13,12 @@ import torch
 from torch import Tensor
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.geometry.rotation import looking_along, matrix_from_vector, vector_from_matrix
+from mocap_calib.geometry.rotation import looking_along, vector_from_matrix
+from mocap_calib.synthetic.signals import turn_about
 from mocap_calib.training import HIDDEN_LIMBS, OUTLIER_NOISE, PairsConfig, TrainConfig
 from mocap_calib.training.model import normalise
 from mocap_calib.training.poses import PoseSet, Split, every_tenth
-from mocap_calib.types import Floats, Ints, Skeleton
+from mocap_calib.types import Floats, Skeleton
 
 _LEG = ("hip", "knee", "ankle")
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -203,7 +204,7 @@ class Synthesiser(_Source):
         across = np.cos(elevation)
         centre = [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)]
         upright = looking_along(-np.stack(centre, axis=-1), _DOWN)
-        return torch.from_numpy(_roll(roll) @ upright).float()
+        return torch.from_numpy(turn_about(roll) @ upright).float()
 
     def _hide_joints(self, known: Tensor) -> Tensor:
         """Return which of the joints `[B, J]` that the data have are seen; at least four stay.
@@ -261,7 +262,8 @@ class PairSynthesiser(_Source):
         super().__init__(poses, skeleton, seed)
         self.config = config
         views = hemisphere_views(config.cameras, config.rolls)
-        pairs = _pairs_of_views(len(views), config, split)
+        drawn = np.random.default_rng(config.seed).integers(len(views), size=(config.pairs, 2))
+        pairs = drawn[every_tenth(len(drawn), split)]
         first, second = views[pairs[:, 0]], views[pairs[:, 1]]
         second_from_first = second @ np.swapaxes(first, 1, 2)
         self.first = torch.from_numpy(first).float()
@@ -273,7 +275,7 @@ class PairSynthesiser(_Source):
         poses = self.draw_poses(size)
         pair = torch.randint(len(self.vector), (size,), generator=self.generator)
         # the headings of the clips themselves are few
-        heading = torch.from_numpy(_roll(2 * np.pi * self.uniform(size).numpy())).float()
+        heading = torch.from_numpy(turn_about(2 * np.pi * self.uniform(size).numpy())).float()
         points = torch.einsum("bij,bkj->bki", self.first[pair] @ heading, poses)
         seen = self._hide_joints(*points.shape[:2])
         noise = torch.full((1, 1), self.config.noise)
@@ -299,12 +301,6 @@ class PairSynthesiser(_Source):
         return seen
 
 
-def _pairs_of_views(views: int, config: PairsConfig, split: Split) -> Ints:
-    """Return the pairs `[pair, 2]` of views (indices) of a split, 7:2:1."""
-    pairs = np.random.default_rng(config.seed).integers(views, size=(config.pairs, 2))
-    return np.asarray(pairs[every_tenth(len(pairs), split)])
-
-
 def hemisphere_views(cameras: int, rolls: int) -> Floats:
     """Return cam_from_world `[cameras * rolls, 3, 3]` of cameras on the hemisphere (appendix C).
 
@@ -317,10 +313,5 @@ def hemisphere_views(cameras: int, rolls: int) -> Floats:
     azimuth = np.pi * (3 - np.sqrt(5)) * k
     across = np.sqrt(1 - height**2)
     centre = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=-1)
-    turn = _roll(2 * np.pi * np.arange(rolls) / rolls)
+    turn = turn_about(2 * np.pi * np.arange(rolls) / rolls)
     return (turn[None] @ looking_along(-centre, _DOWN)[:, None]).reshape(-1, 3, 3)
-
-
-def _roll(angle: Floats) -> Floats:
-    """Return the rotations `[B, 3, 3]` by angles `[B]` in radians about the z axis."""
-    return matrix_from_vector(angle[:, None] * np.array([0.0, 0.0, 1.0]))
