@@ -32,8 +32,8 @@ import mocap_calib as mc
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.synthetic.bodies import motion_times, move_person
 from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoint_files
-from mocap_calib.synthetic.paths import plan_walks
 from mocap_calib.synthetic.scene import ring_rig
+from mocap_calib.synthetic.walking import plan_walks
 from mocap_calib.types import Bools, CameraRig, Floats, Keypoints2D
 
 WIDTH, LENGTH_OF_CAMERA = 12.0, 0.36  # metres of a hall

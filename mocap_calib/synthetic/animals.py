@@ -19,8 +19,8 @@ from mocap_calib.synthetic.body_plan import (
     sample_bones,
 )
 from mocap_calib.synthetic.config import ANIMAL_MOTION, AnimalMotion
-from mocap_calib.synthetic.paths import Walk
 from mocap_calib.synthetic.signals import wander
+from mocap_calib.synthetic.walking import Walk
 from mocap_calib.types import Floats
 
 _AT_REST = 0.15  # metres a second, below which a body rests

@@ -11,10 +11,9 @@ from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.synthetic.config import MOTION_RATE
-from mocap_calib.synthetic.gait import Foot, gait_cycles, place_foot
-from mocap_calib.synthetic.paths import Walk
 from mocap_calib.synthetic.postures import Posture, hold_posture
 from mocap_calib.synthetic.signals import direction, left_of, turn_about
+from mocap_calib.synthetic.walking import Foot, Walk, gait_cycles, place_foot
 from mocap_calib.types import Floats
 
 SIDES = {"left": 1.0, "right": -1.0}

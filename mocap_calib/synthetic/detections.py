@@ -63,8 +63,16 @@ def detect(
     confidence = np.clip(quality * trust, 0.05, 1.0)
     individual = np.where(real, np.arange(len(real)), -1)  # [body]
     identity = np.broadcast_to(individual, seen.shape[:3])
-    detections = Detections(joints, positions, confidence, identity)
-    return _arrange(rng, detections, seen, shuffle=config.shuffle)
+    there = seen.any(-1)  # [view, frame, body]
+    order = _order_of_instances(rng, there, shuffle=config.shuffle)
+    positions = np.where(seen[..., None], positions, np.nan)
+    confidence = np.where(seen, confidence, 0.0)
+    return Detections(
+        keypoints=joints,
+        positions=np.take_along_axis(positions, order[..., None, None], axis=2),
+        confidence=np.take_along_axis(confidence, order[..., None], axis=2),
+        identity=np.take_along_axis(np.where(there, identity, -1), order, axis=2),
+    )
 
 
 def keypoint_files(rig: CameraRig, detections: Detections) -> tuple[Keypoints2D, ...]:
@@ -154,24 +162,11 @@ def _blur(
     return blurred, np.where(gross, quality * rng.uniform(0.3, 1.0, shape), quality)
 
 
-def _arrange(
-    rng: np.random.Generator, detections: Detections, seen: Bools, *, shuffle: bool
-) -> Detections:
-    """Blank out what is not seen `[view, frame, body, joint]`, and put what is there first.
+def _order_of_instances(rng: np.random.Generator, present: Bools, *, shuffle: bool) -> Ints:
+    """Return the bodies `[view, frame, instance]` (indices), those that are present first.
 
-    shuffle: in an order that tells nothing.
+    present: `[view, frame, body]`. shuffle: in an order that tells nothing.
     """
-    present = seen.any(-1)  # [view, frame, body]
     rank = rng.random(present.shape) if shuffle else np.arange(present.shape[2])
     order = np.argsort(np.where(present, rank, np.inf), axis=2, kind="stable")
-    most = max(int(present.sum(2).max(initial=0)), 1)
-    order = order[:, :, :most]
-    positions = np.where(seen[..., None], detections.positions, np.nan)
-    confidence = np.where(seen, detections.confidence, 0.0)
-    identity = np.where(present, detections.identity, -1)
-    return Detections(
-        keypoints=detections.keypoints,
-        positions=np.take_along_axis(positions, order[..., None, None], axis=2),
-        confidence=np.take_along_axis(confidence, order[..., None], axis=2),
-        identity=np.take_along_axis(identity, order, axis=2),
-    )
+    return order[:, :, : max(int(present.sum(2).max(initial=0)), 1)]

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.synthetic.gait import vigour
-from mocap_calib.synthetic.paths import Walk
 from mocap_calib.synthetic.signals import pulse, spells, wander
+from mocap_calib.synthetic.walking import Walk, vigour
 from mocap_calib.types import Floats
 
 # What arms do, in degrees as low, high: flexion (ahead), abduction (to the side), inward turn of

@@ -18,8 +18,8 @@ from mocap_calib.synthetic.config import (
     SimulateConfig,
 )
 from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoint_files
-from mocap_calib.synthetic.paths import plan_walks
 from mocap_calib.synthetic.signals import direction, turn_about
+from mocap_calib.synthetic.walking import plan_walks
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Keypoints2D, Record
 
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -122,31 +122,28 @@ def _join_names(joints: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
 
 
 def _check(config: SimulateConfig) -> None:
-    """Raise MismatchError where a number of a scene is none that it can be, or a kind unknown."""
-    unknown = sorted(set(config.kinds_of_animals) - set(ANIMAL_MOTION))
-    if unknown:
-        raise MismatchError(
-            "simulate",
-            f"animals of the kinds {', '.join(ANIMAL_MOTION)}",
-            ", ".join(unknown),
-            "choose among those",
-        )
-    bodies = config.people + len(config.kinds_of_animals)
-    positive = {"people and animals": bodies} | {
-        name: getattr(config, name) for name in ("cameras", "frames", "fps", "ring_radius")
+    """Raise MismatchError where there is nobody, no time, or a setting is out of its range."""
+    shares = ("missing", "outliers", "false_detections")
+    accepted = {name: 0 <= getattr(config, name) <= 1 for name in shares} | {
+        "animals": set(config.kinds_of_animals) <= set(ANIMAL_MOTION),
+        "people": config.people + len(config.kinds_of_animals) > 0,
+        "cameras": config.cameras > 0,
+        "frames": config.frames > 0,
+        "fps": config.fps > 0,
+        "radius": config.radius is None or config.radius > 0,
+        "size": min(config.size) > 0,
+        "arc_deg": 0 <= config.arc_deg <= 360,
+        "layout": config.layout in LAYOUTS,
+        "noise_px": config.noise_px >= 0,
     }
-    positive["size"] = min(config.size)
-    shares = {name: getattr(config, name) for name in ("missing", "outliers", "false_detections")}
-    shares["arc_deg of 360"] = config.arc_deg / 360
-    wrong = [f"{name} {value}" for name, value in positive.items() if not value > 0]
-    wrong += [f"{name} {value}" for name, value in shares.items() if not 0 <= value <= 1]
-    if wrong or config.noise_px < 0 or config.layout not in LAYOUTS:
+    wrong = [f"{name} {getattr(config, name)}" for name, right in accepted.items() if not right]
+    if wrong:
         raise MismatchError(
             "simulate",
-            "numbers above 0, shares in 0..1, noise_px of 0 or more and layout "
-            + " or ".join(LAYOUTS),
-            ", ".join(wrong) or f"noise_px {config.noise_px}, layout {config.layout}",
-            "correct that value",
+            f"people or animals ({', '.join(ANIMAL_MOTION)}), numbers above 0, shares in 0..1, an "
+            f"arc of 0..360 degrees, noise of 0 or more and layout {' or '.join(LAYOUTS)}",
+            ", ".join(wrong),
+            "correct that setting",
         )
 
 

@@ -45,7 +45,7 @@ from mocap_calib.paper.solver import (
     with_dummies,
 )
 from mocap_calib.synthetic.bodies import motion_times, move_person
-from mocap_calib.synthetic.paths import plan_walks
+from mocap_calib.synthetic.walking import plan_walks
 from mocap_calib.training import PairsConfig, TrainConfig
 from mocap_calib.training.model import (
     LifterModule,
