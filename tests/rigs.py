@@ -1,11 +1,9 @@
 """Rigs of all kinds, as a strategy, and when two of them are the same."""
 
-from dataclasses import replace
-
 import numpy as np
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from mocap_calib.geometry.rotation import Similarity, matrix_from_vector
 from mocap_calib.types import Camera, CameraRig
 
 LENGTHS = (0, 4, 5, 8)
@@ -38,17 +36,11 @@ def rigs(
         cameras.append(
             Camera(name, tuple(int(n) for n in rng.integers(1, 10_000, size=2)), matrix, lens, fish)
         )
-    vectors = draw(
-        st.lists(
-            st.sampled_from([(0.0, 0.0, 0.0), (np.pi, 0.0, 0.0), tuple(rng.normal(size=3))]),
-            min_size=len(cameras),
-            max_size=len(cameras),
-        )
-    )
+    turns = st.sampled_from([(0.0, 0.0, 0.0), (np.pi, 0.0, 0.0), tuple(rng.normal(size=3))])
+    vectors = [draw(turns) for _ in cameras]
     offsets = rng.normal(size=(len(cameras), 3)) * 10.0 ** rng.integers(-3, 5)
-    return CameraRig(
-        tuple(cameras), matrix_from_vector(np.array(vectors)), offsets, draw(st.sampled_from(units))
-    )
+    rotation = Rotation.from_rotvec(np.array(vectors)).as_matrix()
+    return CameraRig(tuple(cameras), rotation, offsets, draw(st.sampled_from(units)))
 
 
 def padded(camera):
@@ -74,11 +66,6 @@ def assert_same(rig, back, *, sizes=True, names=True, scale=1.0):
     )
 
 
-def with_unit(rig, unit):
-    """The same numbers in another unit."""
-    return replace(rig, unit=unit)
-
-
 def unit(vectors: np.ndarray, axis: int = -1) -> np.ndarray:
     """Return vectors of length 1."""
     return vectors / np.linalg.norm(vectors, axis=axis, keepdims=True)
@@ -87,7 +74,7 @@ def unit(vectors: np.ndarray, axis: int = -1) -> np.ndarray:
 def random_rotations(rng: np.random.Generator, count: int, largest: float = np.pi) -> np.ndarray:
     """Return rotations `[count, 3, 3]` about random axes, by up to `largest` radians."""
     axis = unit(rng.normal(size=(count, 3)))
-    return matrix_from_vector(axis * rng.uniform(0, largest, (count, 1)))
+    return Rotation.from_rotvec(axis * rng.uniform(0, largest, (count, 1))).as_matrix()
 
 
 def rig_looking_at_origin(centres) -> CameraRig:
@@ -99,11 +86,3 @@ def rig_looking_at_origin(centres) -> CameraRig:
     matrix = np.array([[1000.0, 0, 500], [0, 1000, 500], [0, 0, 1]])
     cameras = tuple(Camera(str(k), (1000, 1000), matrix) for k in range(len(centres)))
     return CameraRig(cameras, rotation, -np.einsum("vij,vj->vi", rotation, centres), "m")
-
-
-def similar(rig: CameraRig, rng: np.random.Generator) -> tuple[CameraRig, Similarity]:
-    """Return the rig in a world of other axes and another unit, and how points move into it."""
-    turn, factor, shift = random_rotations(rng, 1)[0], rng.uniform(0.1, 10), rng.normal(size=3)
-    rotation = rig.rotation @ turn.T
-    translation = factor * rig.translation - rotation @ shift
-    return replace(rig, rotation=rotation, translation=translation), Similarity(factor, turn, shift)

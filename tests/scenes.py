@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mocap_calib.adjust.refine import adjust_once
 from mocap_calib.config import Config
-from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
+from mocap_calib.geometry.rotation import Similarity, angle_between, matrix_from_vector
 from mocap_calib.lift import lift
 from mocap_calib.lift.lifter import load_lifter
 from mocap_calib.pipeline import calibrate
@@ -125,29 +125,22 @@ def truth(**changes) -> Matches:
 
 def rotation_errors_deg(rig: CameraRig, reference: CameraRig) -> np.ndarray:
     """Angle between the relative rotations of all pairs."""
-    errors = []
-    for a in range(len(rig.cameras)):
-        for b in range(a):
-            found, true = rig.relative(a, b)[0], reference.relative(a, b)[0]
-            errors.append(np.degrees(np.arccos(np.clip((np.trace(found.T @ true) - 1) / 2, -1, 1))))
-    return np.array(errors)
+    pairs = combinations(range(len(rig)), 2)
+    return np.array([angles_deg(rig.relative(*p)[0], reference.relative(*p)[0]) for p in pairs])
 
 
 def precision(labels: np.ndarray, identity: np.ndarray) -> float:
     """Share of detections of one label in two views, both of known identity, that are the same
     person.
     """
-    good = wrong = 0
-    for a in range(len(labels)):
-        for b in range(a):
-            same_label = (labels[a][:, :, None] == labels[b][:, None]) & (
-                labels[a][:, :, None] >= 0
-            )
-            known = (identity[a][:, :, None] >= 0) & (identity[b][:, None] >= 0)
-            same = identity[a][:, :, None] == identity[b][:, None]
-            good += int((same_label & known & same).sum())
-            wrong += int((same_label & known & ~same).sum())
-    return good / max(good + wrong, 1)
+    found = []
+    for a, b in combinations(range(len(labels)), 2):
+        (label, other), (who, whom) = (
+            (each[a][:, :, None], each[b][:, None]) for each in (labels, identity)
+        )
+        compared = (label == other) & (label >= 0) & (who >= 0) & (whom >= 0)
+        found.append((who == whom)[compared])
+    return float(np.concatenate(found).mean()) if sum(map(len, found)) else 0.0
 
 
 def gaps(rig: CameraRig, seen: Recording, matches: Matches, points: np.ndarray) -> np.ndarray:
@@ -200,12 +193,19 @@ def adjust_twice(sample: Sample, rig: CameraRig, matches: Matches, config: Confi
     return adjust_once(sample, close, matches, config, already_close=True)
 
 
+def similar(rig: CameraRig, rng: np.random.Generator) -> tuple[CameraRig, Similarity]:
+    """Return the rig in a world of other axes and another unit, and how points move into it."""
+    turn, factor = matrix_from_vector(rng.normal(size=3)), rng.uniform(0.1, 10)
+    shift = rng.normal(size=3)
+    rotation = rig.rotation @ turn.T
+    translation = factor * rig.translation - rotation @ shift
+    return replace(rig, rotation=rotation, translation=translation), Similarity(factor, turn, shift)
+
+
 def moved(rig: CameraRig, rng: np.random.Generator) -> tuple[CameraRig, np.ndarray, float]:
     """The rig in another world and unit: with the turn `[3, 3]` and the factor of lengths."""
-    turn, factor = matrix_from_vector(rng.normal(size=3)), rng.uniform(0.1, 10)
-    rotation = rig.rotation @ turn.T
-    translation = factor * rig.translation - rotation @ rng.normal(size=3)
-    return replace(rig, rotation=rotation, translation=translation), turn, factor
+    world, move = similar(rig, rng)
+    return world, move.rotation, move.scale
 
 
 def rigs_differ(first: CameraRig, second: CameraRig) -> float:

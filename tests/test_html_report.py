@@ -196,10 +196,6 @@ def test_only_what_is_in_the_page_may_run():
     assert "http" not in policy
 
 
-def test_the_same_again():
-    assert page_of(source()) == page_of(source())
-
-
 @pytest.mark.parametrize(
     "size",
     [

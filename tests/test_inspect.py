@@ -300,19 +300,6 @@ def test_two_cameras_that_look_at_each_other_are_named_without_a_third(
     assert not facing or found[0].startswith("cam1 and cam2")
 
 
-def test_a_facing_pair_is_found_among_pairs_of_other_times(inspect):
-    views = []
-    for number in range(5):
-        own = np.arange(25 * number, 25 * number + 25)
-        found = views_at(0, 180 if number == 3 else 70, seed=number, frames=25)
-        views += [
-            replace(each, camera=f"cam{number}{side}", frames=own)
-            for side, each in zip("ab", found, strict=True)
-        ]
-    (said,) = inspect(views).warnings("each other")
-    assert said.startswith("cam3a and cam3b")
-
-
 @pytest.mark.parametrize("change", ["behind", "several", "shuffled", "no common joint"])
 def test_nothing_is_said_of_cameras_behind_each_other_or_where_views_do_not_compare(
     inspect, change

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rigs import rig_looking_at_origin, similar, unit
+from rigs import rig_looking_at_origin, unit
+from scenes import similar
 
 from mocap_calib.geometry import lens
 from mocap_calib.types import Camera, CameraRig

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rigs import random_rotations, rig_looking_at_origin, similar, unit
+from rigs import random_rotations, rig_looking_at_origin, unit
+from scenes import similar
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial.transform import Rotation

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import views as oracle
-from rigs import random_rotations, rig_looking_at_origin, similar, unit
+from rigs import random_rotations, rig_looking_at_origin, unit
+from scenes import similar
 
 from mocap_calib.config import INTERSECT_LOSS_SCALE, SMALL_RIG
 from mocap_calib.geometry.epipolar import (
