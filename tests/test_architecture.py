@@ -160,11 +160,6 @@ def test_no_module_names_truth_and_reference():
         assert judges or "reference.toml" not in text, path
 
 
-def test_long_files_are_few():
-    lengths = [len(path.read_text("utf-8").splitlines()) for path in SOURCES]
-    assert sum(length > 330 for length in lengths) <= len(lengths) // 6
-
-
 @pytest.mark.parametrize("module", DOORS)
 def test_one_door_for(module):
     importers = {
