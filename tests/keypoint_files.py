@@ -20,15 +20,9 @@ def coco(frames, names, positions, confidence, size=(640, 480), **changes):
     for k in range(len(frames)):
         for points, score in zip(positions[k], confidence[k], strict=True):
             known = np.isfinite(points[:, :1])
-            triples = np.where(known, np.column_stack([points, score]), 0.0)
-            annotations.append(
-                {
-                    "id": len(annotations),
-                    "image_id": k,
-                    "category_id": 1,
-                    "keypoints": triples.ravel().tolist() if known.any() else [],
-                }
-            )
+            triples = np.where(known, np.column_stack([points, score]), 0.0).ravel().tolist()
+            entry = {"id": len(annotations), "image_id": k, "category_id": 1}
+            annotations.append(entry | {"keypoints": triples if known.any() else []})
     categories = [{"id": 1, "name": "subject", "keypoints": list(names)}]
     return {"images": images, "annotations": annotations, "categories": categories} | changes
 

@@ -28,11 +28,9 @@ def recording(individuals=1, missing=0.3, seed=0, scores=True):
     """
     rng = np.random.default_rng(seed)
     positions = rng.uniform(2, 470, (len(FRAMES), individuals, len(NAMES), 2)).round(3)
-    confidence = (
-        rng.uniform(0.1, 0.99, positions.shape[:3]).round(3)
-        if scores
-        else np.ones(positions.shape[:3])
-    )
+    confidence = np.ones(positions.shape[:3])
+    if scores:
+        confidence = rng.uniform(0.1, 0.99, confidence.shape).round(3)
     gone = rng.random(confidence.shape) < missing
     gone[..., 0] = False
     positions[gone], confidence[gone] = np.nan, 0.0
@@ -64,17 +62,11 @@ def _coco_results(folder, p, c):
 
 def _alphapose(folder, p, c):
     rows = [
-        {
-            "image_id": f"{f}.jpg",
-            "category_id": 1,
-            "keypoints": triples(x, s),
-            "score": 2.9,
-            "box": [1, 2, 3, 4],
-            "idx": [0.0],
-        }
+        {"image_id": f"{f}.jpg", "category_id": 1, "keypoints": triples(x, s)}
         for f, x, s in _detections(p, c)
     ]
-    (folder / "cam.json").write_text(json.dumps(rows))
+    same = {"score": 2.9, "box": [1, 2, 3, 4], "idx": [0.0]}
+    (folder / "cam.json").write_text(json.dumps([row | same for row in rows]))
 
 
 def _openpose(folder, p, c):
@@ -90,15 +82,9 @@ def _openpose(folder, p, c):
 
 
 def _instances(p, c):
-    return [
-        {
-            "keypoints": x,
-            "keypoint_scores": s.tolist(),
-            "bbox": [[1.0, 2.0, 3.0, 4.0]],
-            "bbox_score": 0.9,
-        }
-        for x, s in zip(np.nan_to_num(p).tolist(), c, strict=True)
-    ]
+    box = {"bbox": [[1.0, 2.0, 3.0, 4.0]], "bbox_score": 0.9}
+    points = zip(np.nan_to_num(p).tolist(), c.tolist(), strict=True)
+    return [{"keypoints": x, "keypoint_scores": s} | box for x, s in points]
 
 
 def _mmpose(folder, p, c):
@@ -151,44 +137,26 @@ def _sleap(folder, p, c):
 
 
 def _sleap_csv(folder, p, c):
-    lines = [
-        "track,frame_idx,instance.score,"
-        + ",".join(f"{name}.{part}" for name in NAMES for part in ("x", "y", "score"))
-    ]
-    for k, frame in enumerate(FRAMES):
-        for i, (x, s) in enumerate(zip(p[k], c[k], strict=True)):
-            cells = [
-                "" if np.isnan(v) else repr(float(v))
-                for v in np.where(np.isnan(x[:, :1]), np.nan, np.column_stack([x, s])).ravel()
-            ]
-            lines.append(",".join([f"track_{i}", str(frame), "0.9", *cells]))
+    columns = [f"{name}.{part}" for name in NAMES for part in ("x", "y", "score")]
+    lines = [",".join(["track,frame_idx,instance.score", *columns])]
+    for k, i in np.ndindex(c.shape[:2]):
+        values = np.column_stack([p[k, i], np.where(np.isnan(p[k, i, :, 0]), np.nan, c[k, i])])
+        cells = ["" if np.isnan(v) else repr(v) for v in values.ravel().tolist()]
+        lines.append(",".join([f"track_{i}", str(FRAMES[k]), "0.9", *cells]))
     (folder / "cam.analysis.csv").write_text("\n".join(lines) + "\n")
 
 
 def write_slp(folder, p, c, videos=("cam",), path="cam.slp"):
     frames, individuals, keypoints = c.shape
-    frame = [
-        ("frame_id", "<u8"),
-        ("video", "<u4"),
-        ("frame_idx", "<u8"),
-        ("instance_id_start", "<u8"),
-        ("instance_id_end", "<u8"),
-    ]
-    instance = [
-        ("instance_id", "<i8"),
-        ("instance_type", "u1"),
-        ("frame_id", "<u8"),
-        ("skeleton", "<u4"),
-        ("track", "<i4"),
-        ("from_predicted", "<i8"),
-    ]
-    instance += [("score", "<f4"), ("point_id_start", "<u8"), ("point_id_end", "<u8")]
+    frame = {"frame_id": "<u8", "video": "<u4", "frame_idx": "<u8"}
+    frame |= {"instance_id_start": "<u8", "instance_id_end": "<u8"}
+    instance = {"instance_id": "<i8", "instance_type": "u1", "frame_id": "<u8", "skeleton": "<u4"}
+    instance |= {"track": "<i4", "from_predicted": "<i8", "score": "<f4"}
+    instance |= {"point_id_start": "<u8", "point_id_end": "<u8"}
     point = [("x", "<f8"), ("y", "<f8"), ("visible", "?"), ("complete", "?"), ("score", "<f8")]
     nodes = [{"id": k} for k in range(keypoints)[::-1]]
-    metadata = {
-        "skeletons": [{"graph": {}, "links": [], "nodes": nodes}],
-        "nodes": [{"name": name, "weight": 1.0} for name in NAMES[::-1]],
-    }
+    metadata = {"skeletons": [{"graph": {}, "links": [], "nodes": nodes}]}
+    metadata["nodes"] = [{"name": name, "weight": 1.0} for name in NAMES[::-1]]
     count = frames * individuals
     rows = [
         (k, 1, k // individuals, 0, k % individuals, -1, 0.9, k * keypoints, (k + 1) * keypoints)
@@ -200,22 +168,19 @@ def write_slp(folder, p, c, videos=("cam",), path="cam.slp"):
         for (x, y), s, v in zip(p.reshape(-1, 2), c.ravel(), seen, strict=True)
     ]
     with h5py.File(folder / path, "w") as file:
-        file.create_group("metadata").attrs.update(
-            {"format_id": 1.2, "json": np.bytes_(json.dumps(metadata).encode())}
-        )
+        about = {"format_id": 1.2, "json": np.bytes_(json.dumps(metadata).encode())}
+        file.create_group("metadata").attrs.update(about)
         made = [
             (v * frames + k, v, FRAMES[k], k * individuals, (k + 1) * individuals)
             for v in range(len(videos))
             for k in range(frames)
         ]
-        file["frames"] = np.array(made, dtype=frame)
-        file["instances"] = np.array(rows, dtype=instance)
+        file["frames"] = np.array(made, dtype=[*frame.items()])
+        file["instances"] = np.array(rows, dtype=[*instance.items()])
         file["pred_points"] = np.array(points, dtype=point)
         file["points"] = np.zeros(0, dtype=point[:4])
-        file["videos_json"] = np.array(
-            [json.dumps({"backend": {"filename": f"D:\\data\\{name}.mp4"}}) for name in videos],
-            dtype="S",
-        )
+        files = [{"backend": {"filename": f"D:\\data\\{name}.mp4"}} for name in videos]
+        file["videos_json"] = np.array(list(map(json.dumps, files)), dtype="S")
         file["tracks_json"] = np.array([f'[0,"track_{k}"]' for k in range(individuals)], dtype="S")
 
 
@@ -252,44 +217,32 @@ def _nwb(folder, p, c):
         for k, name in enumerate(NAMES):
             series = poses.create_group(name)
             series.attrs["neurodata_type"] = "PoseEstimationSeries"
-            series["data"], series["confidence"], series["timestamps"] = (
-                p[:, 0, k],
-                c[:, 0, k],
-                np.array(FRAMES) / 30,
-            )
+            series["data"], series["confidence"] = p[:, 0, k], c[:, 0, k]
+            series["timestamps"] = np.array(FRAMES) / 30
 
 
 def _label3d(folder, p, c):  # noqa: ARG001 - no scores
-    label = {
-        "data_2d": p[:, 0].reshape(len(FRAMES), -1),
-        "data_frame": np.array([FRAMES]),
-        "data_sampleID": np.array([FRAMES]),
-    }
+    label = {"data_2d": p[:, 0].reshape(len(FRAMES), -1)}
+    label |= dict.fromkeys(("data_frame", "data_sampleID"), np.array([FRAMES]))
     labels, names = np.empty((1, 1), dtype=object), np.empty((1, 1), dtype=object)
     labels[0, 0], names[0, 0] = label, "cam"
     savemat(folder / "labels.mat", {"labelData": labels, "camnames": names})
 
 
 def _caliscope(folder, p, c):  # noqa: ARG001 - no scores
-    lines = [
-        "sync_index,cam_id,frame_index,frame_time,object_id,keypoint_id,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y"
-    ]
-    for frame, i, j in np.ndindex(p.shape[:3]):
-        if np.isfinite(p[frame, i, j, 0]):
-            lines.append(
-                f"{FRAMES[frame]},cam,{frame},0.5,{i},{j},{p[frame, i, j, 0]},{p[frame, i, j, 1]},,"
-            )
+    lines = ["sync_index,cam_id,frame_index,frame_time,object_id,keypoint_id"]
+    lines[0] += ",img_loc_x,img_loc_y,obj_loc_x,obj_loc_y"
+    for frame, i, j in np.argwhere(np.isfinite(p[..., 0])):
+        x, y = p[frame, i, j]
+        lines.append(f"{FRAMES[frame]},cam,{frame},0.5,{i},{j},{x},{y},,")
     (folder / "xy.csv").write_text("\n".join(lines) + "\n")
 
 
 def _csv(folder, p, c):
     lines = ["camera,frame,individual,keypoint,x,y,score"]
-    for frame, i, j in np.ndindex(c.shape):
-        if np.isfinite(p[frame, i, j, 0]):
-            lines.append(
-                f"cam,{FRAMES[frame]},mouse {i},{NAMES[j]},"
-                f"{p[frame, i, j, 0]},{p[frame, i, j, 1]},{c[frame, i, j]}"
-            )
+    for frame, i, j in np.argwhere(np.isfinite(p[..., 0])):
+        x, y = p[frame, i, j]
+        lines.append(f"cam,{FRAMES[frame]},mouse {i},{NAMES[j]},{x},{y},{c[frame, i, j]}")
     (folder / "all.csv").write_text("\r\n".join(lines) + "\r\n")
 
 
@@ -298,15 +251,8 @@ def _ultralytics(folder, p, c):
     for k, frame in enumerate(FRAMES):
         lines = ["# class box keypoints"]
         for i in range(p.shape[1]):
-            shares = np.nan_to_num(p[k, i] / SIZE)
-            lines.append(
-                "0 0.5 0.5 0.2 0.2 "
-                + " ".join(
-                    f"{x!r} {y!r} {s!r}"
-                    for (x, y), s in zip(shares.tolist(), c[k, i].tolist(), strict=True)
-                )
-                + " 0.87"
-            )
+            points = " ".join(map(repr, triples(p[k, i] / SIZE, c[k, i])))
+            lines.append(f"0 0.5 0.5 0.2 0.2 {points} 0.87")
         (folder / "cam" / "labels" / f"video_{frame}.txt").write_text("\n".join(lines))
 
 

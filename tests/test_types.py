@@ -136,12 +136,8 @@ def test_records_print_in_short():
     ]
     assert repr(mc.Matches(np.zeros((2, 3, 1), int))) == "Matches(labels=int64[2, 3, 1])"
     made = scene()
-    for record in (
-        camera(),
-        made,
-        made.files[0],
-        mc.Recording.from_keypoints(made.files, made.rig),
-    ):
+    recording = mc.Recording.from_keypoints(made.files, made.rig)
+    for record in (camera(), made, made.files[0], recording):
         assert len(repr(record)) < 1000  # no array is written out
         assert "\n" not in repr(record)
 
@@ -151,36 +147,26 @@ def test_records_print_in_short():
 
 def test_arrays_make_the_recording_that_files_make():
     made = scene()
+    found = made.detections
     of_arrays = mc.Recording.from_arrays(
-        made.detections.positions,
-        made.detections.confidence,
-        keypoints=made.detections.keypoints,
-        cameras=made.rig,
+        found.positions, found.confidence, keypoints=found.keypoints, cameras=made.rig
     )
     assert of_arrays == mc.Recording.from_keypoints(made.files, made.rig.cameras)
 
 
 def test_a_single_subject_needs_no_axis_of_instances():
-    rng = np.random.default_rng(0)
-    positions = rng.uniform(100, 600, size=(2, 5, 4, 2))
-    positions[0, 1, 2] = np.nan
-    cameras = [camera("a"), camera("b")]
-    names = ["nose", "left_ear", "right_ear", "tail_base"]
-    alone = mc.Recording.from_arrays(
-        positions, keypoints=names, cameras=cameras, frames=range(3, 8)
-    )
+    alone = of_arrays(frames=range(3, 8))
     assert alone.tracked.all()
     assert alone.frames.tolist() == [3, 4, 5, 6, 7]
-    np.testing.assert_array_equal(alone.confidence[:, :, 0], np.isfinite(positions[..., 0]))
-    weighed = mc.Recording.from_arrays(
-        positions, np.full((2, 5, 4), 0.5), keypoints=names, cameras=cameras
-    )
-    assert np.nanmax(weighed.confidence) == 0.5
+    np.testing.assert_array_equal(alone.confidence, np.isfinite(alone.positions[..., 0]))
+    assert np.isnan(alone.positions[0, 1, 0, 2]).all()
+    assert np.nanmax(of_arrays(confidence=np.full((2, 5, 4), 0.5)).confidence) == 0.5
 
 
 def of_arrays(**changes) -> mc.Recording:
-    """A recording of one subject in two views and five frames."""
+    """A recording of one subject in two views and five frames; a point is missing."""
     positions = np.random.default_rng(0).uniform(100, 600, size=(2, 5, 4, 2))
+    positions[0, 1, 2] = np.nan
     names = ["nose", "left_ear", "right_ear", "tail_base"]
     arguments = {"keypoints": names, "cameras": [camera("a"), camera("b")], **changes}
     return mc.Recording.from_arrays(positions, **arguments)
