@@ -33,8 +33,8 @@ _AngleNumbers = Annotated[list[float], msgspec.Meta(min_length=2, max_length=3)]
 
 class _PostureFields(msgspec.Struct):
     weight: float = 1.0
-    opposed: tuple[float, float] = (0.0, 0.0)
-    angles: dict[str, _AngleNumbers] = {}
+    opposed: tuple[float, float] | None = None
+    angles: dict[str, _AngleNumbers] | None = None
 
 
 class _BodyFields(msgspec.Struct):
@@ -95,7 +95,7 @@ def parse_body(section: Mapping[str, Any], skeleton: Skeleton) -> BodyPlan:
     """
     given = {name: value for name, value in section.items() if value is not None}
     try:
-        fields = msgspec.convert(given, _BodyFields)
+        fields = msgspec.convert(given, _BodyFields, strict=False)
     except msgspec.ValidationError as error:
         raise _refuse(
             skeleton, "a section as docs/skeletons.md has it", error, "correct it"
@@ -123,7 +123,10 @@ def parse_body(section: Mapping[str, Any], skeleton: Skeleton) -> BodyPlan:
         direction=fields.direction,
         postures=tuple(
             PostureRange(
-                name, each.weight, each.opposed, {**always, **_parse_angles(each.angles, skeleton)}
+                name,
+                each.weight,
+                each.opposed or (0.0, 0.0),
+                {**always, **_parse_angles(each.angles or {}, skeleton)},
             )
             for name, each in ((name, each or _PostureFields()) for name, each in postures.items())
         ),
