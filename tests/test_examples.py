@@ -75,10 +75,8 @@ def test_to_pose2sim(call, small, tmp_path):
     rig = mc.read_rig(tmp_path / "calibration" / "Calib.toml")
     assert rig.unit == "m"
     assert np.linalg.norm(rig.centres[1] - rig.centres[0]) == pytest.approx(6.5)
-    assert {path.name for path in (tmp_path / "pose-3d").iterdir()} == {
-        "poses_0.trc",
-        "poses_1.trc",
-    }
+    written = {path.name for path in (tmp_path / "pose-3d").iterdir()}
+    assert written == {"poses_0.trc", "poses_1.trc"}
 
 
 @pytest.fixture(scope="module")
@@ -164,16 +162,14 @@ def test_the_workflow(sessions, tool, tmp_path):
         path = f"{TOOL.parent}:{Path(snakemake).parent}:/usr/bin:/bin"
         subprocess.run(words, cwd=tmp_path, env={"PATH": path, "HOME": str(tmp_path)}, check=True)
     else:
-        session = {"input.keypoints": "sessions/good/keypoints"}
-        session |= {"input.cameras": "sessions/good/intrinsics.toml", "wildcards.session": "good"}
+        values = {"input": "out/good/cameras.yaml", "output": "export/good.toml"}
+        values |= {"wildcards.session": "good", "input.keypoints": "sessions/good/keypoints"}
+        values |= {"input.cameras": "sessions/good/intrinsics.toml"}
         rules = re.findall(r'shell:\s*"mocap-calib ([^"]*)"', snakefile.read_text("utf-8"))
         assert len(rules) == 2
         for rule in rules:
-            for name, value in session.items():
-                rule = rule.replace(f"{{{name}}}", value)  # noqa: PLW2901
-            rule = rule.replace("{input}", "out/good/cameras.yaml")  # noqa: PLW2901
-            words = shlex.split(rule.replace("{output}", "export/good.toml"))
-            done = tool(*words, cwd=tmp_path)
+            words = re.sub(r"\{([\w.]+)\}", lambda name: values[name[1]], rule)
+            done = tool(*shlex.split(words), cwd=tmp_path)
             assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "good" / "run.json").is_file()
     assert len(mc.read_rig(tmp_path / "export" / "good.toml")) == 3

@@ -113,14 +113,9 @@ def test_a_rig_takes_the_keypoints_of_its_cameras_alone(files):
 
 def test_options_are_those_of_the_command(files):
     """What texts are for the command is plain data here."""
-    read = mc.read_recording(
-        files / "keypoints",
-        files / "rig.toml",
-        format="coco",
-        camera_regex="cam[0-9]",
-        crop_offset={"cam1": (10.0, 0.0)},
-        model="none",
-    )
+    options = {"format": "coco", "camera_regex": "cam[0-9]", "model": "none"}
+    options["crop_offset"] = {"cam1": (10.0, 0.0)}
+    read = mc.read_recording(files / "keypoints", files / "rig.toml", **options)
     plain = mc.read_recording(files / "keypoints", files / "rig.toml")
     seen = plain.seen[0]
     moved = (read.positions[0] - plain.positions[0])[seen]
@@ -161,9 +156,6 @@ def test_what_is_written_is_read_again(files, tmp_path):
         mc.read_poses(tmp_path / "poses.c3d").positions, 1000 * read.positions, rtol=1e-6
     )
     view = mc.read_keypoints(files / "keypoints" / "cam1.json")[0]
-    mc.write(view, str(tmp_path / "cam1.json"))
-    (again,) = mc.read_keypoints(tmp_path / "cam1.json")
-    assert replace(again, source=view.source) == view
     lost = mc.write([view], str(tmp_path / "openpose"), format="openpose")
     assert any("name" in what for what in lost)
 
@@ -265,8 +257,8 @@ def test_things_and_arguments_that_say_nothing_are_refused(tmp_path):
 def test_image_sizes_are_asked_for_by_camera_as_python_has_them(tmp_path):
     view = replace(scene().files[0], tracked=True)
     views = [
-        replace(view, camera=name, positions=view.positions + shift)
-        for name, shift in (("a", 0.0), ("b", 7.5))
+        replace(view, camera="a"),
+        replace(view, camera="b", positions=view.positions + 7.5),
     ]
     mc.write(views, tmp_path / "keypoints", format="deeplabcut-csv")
     with pytest.raises(mc.MismatchError) as raised:

@@ -112,9 +112,8 @@ def test_exchanged_names_of_a_file_are_swaps():
     tracked[0, :, :2] = [0, 1]
     tracked[0, frames // 2 :, :2] = [1, 0]
     recording = replace(given.seen.recording, tracked=np.array([True, False, False]))
-    seen = replace(
-        given.seen, recording=recording, matches=replace(given.seen.matches, labels=tracked)
-    )
+    matches = replace(given.seen.matches, labels=tracked)
+    seen = replace(given.seen, recording=recording, matches=matches)
     found = page_data(page_of(given, seen=seen))["timeline"]
     middle = recording.frames[frames // 2]
     assert unpack(found["swaps"]).tolist() == [[0, middle, 0, 1], [0, middle, 1, 0]]
@@ -172,11 +171,10 @@ def test_names_are_never_html():
         notes=(bad,),
     )
     page, plain = page_of(named), page_of(given)
-    for mark in ("<script", "</script", "<img", "onerror", "alert("):
-        in_data = page.split('id="report-data">')[1].split("</script>")[0]
-        assert mark not in in_data or not mark.startswith("<")
-        if mark.startswith("<"):
-            assert page.count(mark) == plain.count(mark)
+    in_data = page.split('id="report-data">')[1].split("</script>")[0]
+    for mark in ("<script", "</script", "<img"):
+        assert mark not in in_data
+        assert page.count(mark) == plain.count(mark)
     assert f"<title>{html.escape(bad)}: mocap-calib</title>" in page
     assert page_data(page)["skeleton"]["joints"] == list(joints)
 
@@ -185,11 +183,8 @@ def test_only_what_is_in_the_page_may_run():
     page = page_of(source())
     policy = re.search(r'Content-Security-Policy" content="([^"]+)"', page)[1]
     assert policy.startswith("default-src 'none';")
-    for kind, text in (
-        ("script", re.findall(r"<script>(.*?)</script>", page, re.S)),
-        ("style", re.findall(r"<style>(.*?)</style>", page, re.S)),
-    ):
-        (content,) = text
+    for kind in ("script", "style"):
+        (content,) = re.findall(rf"<{kind}>(.*?)</{kind}>", page, re.S)
         digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
         assert f"{kind}-src 'sha256-{digest}';" in policy
     assert "unsafe" not in policy
@@ -216,14 +211,6 @@ def test_pages_of_any_recording_are_small_and_full(size):
     assert len(frames) >= 20
     assert frames[-1] == size["frames"] - 1
     assert len(unpack(found["detections"]["frames"])) >= 2
-
-
-def test_the_page_holds_what_the_same_input_gives_again():
-    """Dates, times and hashes are in run.json alone."""
-    of_one_run = {"date": "2026-01-31", "seconds": {"lift": 1.0}, "inputs": {"a": "b"}}
-    of_one_run |= {"outputs": {"report.html": "c"}, "fingerprint": "d"}
-    again = replace(source(), run={**source().run, **of_one_run})
-    assert page_of(again) == page_of(source())
 
 
 def test_nobody_was_found():

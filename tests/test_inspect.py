@@ -22,18 +22,17 @@ class Inspected:
     report: dict
     status: int
 
-    @property
-    def findings(self) -> list[tuple[bool, str]]:
-        """Whether each is critical, and its message."""
-        return [(each["level"] == "CRITICAL", each["message"]) for each in self.report["findings"]]
+    def messages(self, word: str = "", level: str = "") -> list[str]:
+        """Return the messages with a word, of a level where one is named."""
+        found = [each for each in self.report["findings"] if level in ("", each["level"])]
+        return [each["message"] for each in found if word in each["message"]]
 
     def warnings(self, word: str) -> list[str]:
-        """Return the messages of those with a word that are not critical."""
-        return [text for critical, text in self.findings if word in text and not critical]
+        return [text for text in self.messages(word) if text not in self.messages(word, "CRITICAL")]
 
     @property
     def critical(self) -> bool:
-        return any(critical for critical, _ in self.findings)
+        return bool(self.messages(level="CRITICAL"))
 
 
 Inspect = Callable[..., Inspected]
@@ -135,7 +134,7 @@ def test_names_count_by_what_they_mean_as_in_a_run(inspect):
 
 def test_a_good_recording_has_nothing_in_its_way(inspect, tool, tmp_path):
     found = inspect([view("a"), view("b", seed=1)], (camera("a"), camera("b")))
-    assert (found.findings, found.status) == ([], 0)
+    assert (found.messages(), found.status) == ([], 0)
     said = tool("inspect", tmp_path / "keypoints").stdout
     for heading in ("range", "gaps", "followed", "missing", "score", "covered"):  # explained once
         assert sum(line.startswith(f"{heading:<10}  ") for line in said.splitlines()) == 1
@@ -183,7 +182,7 @@ def test_a_camera_that_sees_nothing_or_nothing_with_others_is_named_once(inspect
     for third in (apart, blind):
         found = inspect([view("a"), view("b", seed=1), third])
         assert not found.critical
-        assert len([text for _, text in found.findings if text.startswith("c:")]) == 1
+        assert len([text for text in found.messages() if text.startswith("c:")]) == 1
 
 
 # --- subjects that stand still or are flat, cameras that see too little
@@ -228,7 +227,7 @@ def test_a_still_subject_is_foretold_and_one_that_moves_is_not(inspect, changes,
 
 def test_a_camera_that_shares_few_frames_is_named(inspect):
     *others, last = scene(cameras=4).files
-    assert not [text for _, text in inspect([*others, last]).findings if text.startswith("cam4")]
+    assert not inspect([*others, last]).messages("cam4:")
     (said,) = inspect([*others, sees_only(last, range(7))]).warnings("cam4:")
     assert "7 frames" in said
 
