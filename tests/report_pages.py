@@ -143,12 +143,9 @@ def _spread_rig(rig: CameraRig, count: int) -> CameraRig:
     """Return a rig of the cameras again and again, under names of their own."""
     which = np.arange(count) % len(rig)
     cameras = [replace(rig.cameras[k], name=f"camera {n}") for n, k in enumerate(which)]
-    shift = 0.1 * np.arange(count)[:, None]
+    translation = rig.translation[which] + 0.1 * np.arange(count)[:, None]
     return replace(
-        rig,
-        cameras=tuple(cameras),
-        rotation=rig.rotation[which],
-        translation=rig.translation[which] + shift,
+        rig, cameras=tuple(cameras), rotation=rig.rotation[which], translation=translation
     )
 
 

@@ -70,16 +70,8 @@ def inspect(tool, tmp_path) -> Inspect:
 def view(camera="a", frames=range(40), instances=1, seed=0, names=NAMES, size=SIZE):
     """Detections at random places of the image."""
     positions = np.random.default_rng(seed).uniform(5, 470, (len(frames), instances, len(names), 2))
-    return mc.Keypoints2D(
-        camera,
-        names,
-        np.array(frames),
-        positions,
-        np.full(positions.shape[:3], 0.8),
-        False,
-        size,
-        f"{camera}.json",
-    )
+    scores, source = np.full(positions.shape[:3], 0.8), f"{camera}.json"
+    return mc.Keypoints2D(camera, names, np.array(frames), positions, scores, False, size, source)
 
 
 def camera(name, size=SIZE):
@@ -190,15 +182,11 @@ def test_a_camera_that_sees_nothing_or_nothing_with_others_is_named_once(inspect
 
 def frozen(views: Sequence[mc.Keypoints2D], noise: float) -> list[mc.Keypoints2D]:
     """One frame of each view, repeated with noise in pixels."""
-    rng, stay = np.random.default_rng(0), np.full(60, 20)
+    rng = np.random.default_rng(0)
+    still = [each.positions[np.full(60, 20)] for each in views]
     return [
-        replace(
-            each,
-            frames=np.arange(60),
-            positions=each.positions[stay] + rng.normal(0, noise, each.positions[stay].shape),
-            confidence=each.confidence[stay],
-        )
-        for each in views
+        replace(each, positions=pose + rng.normal(0, noise, pose.shape), frames=np.arange(60))
+        for each, pose in zip(views, still, strict=True)
     ]
 
 

@@ -167,11 +167,3 @@ def test_each_kind_of_body_is_measured_by_its_own_table(measure, who, angles):
         ends = [each / np.linalg.norm(each, axis=1)[:, None] for each in (hip - knee, ankle - knee)]
         expected = np.degrees(np.arccos((ends[0] * ends[1]).sum(1)))
         np.testing.assert_allclose(found.column("left_knee_angle_deg"), expected, rtol=1e-4)
-
-
-def test_what_is_no_poses_is_refused_in_a_line(measure, tool, tmp_path):
-    measure(walkers())
-    done = tool("kinematics", tmp_path / "out" / "bones.csv", "-o", tmp_path / "no")
-    assert done.returncode == 1
-    assert len(done.stderr.splitlines()) == 1
-    assert not (tmp_path / "no").exists()

@@ -155,19 +155,13 @@ def take_compiled_kernels(package: Path) -> None:
 
 def list_files(folder: Path) -> set[str]:
     """The files below a folder, but for what Python leaves behind."""
-    files = (
-        file for file in folder.rglob("*") if file.is_file() and "__pycache__" not in file.parts
-    )
-    return {file.relative_to(folder).as_posix() for file in files}
+    files = {each.relative_to(folder).as_posix() for each in folder.rglob("*") if each.is_file()}
+    return {file for file in files if "__pycache__" not in file}
 
 
 # names of modules that are not those of the distributions that bring them
-DISTRIBUTIONS = {
-    "cv2": "opencv-python-headless",
-    "dask": "distributed",
-    "rerun": "rerun-sdk",
-    "yaml": "pyyaml",
-}
+DISTRIBUTIONS = {"cv2": "opencv-python-headless", "dask": "distributed", "rerun": "rerun-sdk"}
+DISTRIBUTIONS |= {"yaml": "pyyaml"}
 BLENDER = {"bpy", "bmesh", "mathutils"}  # of the script that runs there
 
 
