@@ -18,35 +18,32 @@ IN_ONE_PLACE = {"types.py", "results.py", "config.py"}  # all nouns, all constan
 NOT_ON_WINDOWS = {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}
 
 
-def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-
-
-def test_imports_go_one_way():
-    tool = Path(sys.executable).with_name("lint-imports")
+def passes(name: str, *words: str) -> None:
+    """Run a tool of this environment over the checkout, which must have nothing against it."""
+    tool, path = Path(sys.executable).with_name(name), f"{ROOT}:{ROOT / 'cli'}"
     done = subprocess.run(
-        [tool],
+        [tool, *words],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
-        env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'cli'}"},
+        env={**os.environ, "PYTHONPATH": path},
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_imports_go_one_way():
+    passes("lint-imports")
+
+
 def test_ruff():
-    for command in (["ruff", "check"], ["ruff", "format", "--check"]):
-        done = run(*command, ".")
-        assert done.returncode == 0, done.stdout
+    passes("ruff", "check", ".")
+    passes("ruff", "format", "--check", ".")
 
 
 @pytest.mark.slow
 def test_mypy():
-    done = run("mypy")
-    assert done.returncode == 0, done.stdout
+    passes("mypy")
 
 
 def test_packages_are_listed():
