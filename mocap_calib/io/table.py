@@ -171,7 +171,8 @@ def _fit(cells: list[str], width: int, where: str, *, may_end: bool) -> list[str
         expected = f"{width} cells, as many as the header has"
         remedy = "the file is cut, or has commas in its numbers"
         raise FormatError(where, expected, len(cells), remedy)
-    return [*cells[:width], *[""] * (width + 1 - len(cells))]
+    within = cells[:width]
+    return [*within, *[""] * (width + 1 - len(within))]
 
 
 def _parse_number(cell: str, where: str) -> float:

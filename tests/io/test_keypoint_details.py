@@ -325,6 +325,7 @@ TABLES = {
     "a mark and line ends": row(
         "\ufeffframe,keypoint,x,y\r\n3,nose,1.5,2.5\r\n", {"positions": [1.5, 2.5]}
     ),
+    "an empty cell beyond the header": row(LITTLE + "3,nose,1.5,2.5,\n", {"positions": [1.5, 2.5]}),
     "a third coordinate": row("frame,keypoint,x,y,z\n7,nose,1,2,3\n", "columns"),
     "no camera": row("camera,frame,keypoint,x,y\n,7,nose,1,2\n", "row 2"),
     "a word for a frame": row(LITTLE + "seven,nose,1,2\n", "frame number"),
