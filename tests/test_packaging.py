@@ -141,7 +141,7 @@ def test_the_source_distribution_runs_its_own_tests(unpacked):
         assert (unpacked / name).read_bytes() == (ROOT / name).read_bytes()
     take_compiled_kernels(unpacked / "mocap_calib")
     pytest_alone = (sys.executable, "-P", "-m", "pytest", "-p", "no:cacheprovider")
-    said = call(*pytest_alone, "tests/io/test_names.py", cwd=unpacked)
+    said = call(*pytest_alone, "tests/io/test_keypoint_details.py", cwd=unpacked)
     assert re.search(r"^[1-9][0-9]* passed", said, re.MULTILINE), said
 
 
