@@ -58,8 +58,8 @@ CONSUMERS = {
         "alone": "movement",
         "pip": "xarray h5netcdf h5py numpy pandas attrs loguru scipy",
     },
-    "sleap_io": {"alone": "sleap-io", "pip": f"{SLEAP} scipy"},
-    "ndx_pose": {"pip": "pynwb ndx-pose numpy h5netcdf c3d PyYAML scipy"},
+    "sleap_io": {"alone": "sleap-io", "pip": f"{SLEAP} scipy threadpoolctl msgspec"},
+    "ndx_pose": {"pip": "pynwb ndx-pose numpy h5netcdf c3d PyYAML scipy threadpoolctl msgspec"},
 }
 
 
