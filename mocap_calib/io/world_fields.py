@@ -5,6 +5,7 @@ of poses3d.h5; docs/world.md says what each means.
 """
 
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -132,7 +133,7 @@ def _read_text(value: Any) -> str:
 
 def _read_number(value: Any) -> float:
     """Return a number, NaN for anything else."""
-    known = type(value) in (int, float) and math.isfinite(value)
+    known = type(value) in (int, float) and abs(value) <= sys.float_info.max
     return float(value) if known else math.nan
 
 

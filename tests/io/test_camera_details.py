@@ -646,3 +646,15 @@ def test_names_with_spaces_are_for_the_binary_model(tmp_path):
     assert {path.name for path in (tmp_path / "binary").iterdir()} == names
     with pytest.raises(mc.MismatchError, match="no spaces"):
         mc.write(rig, tmp_path / "text", "colmap")
+
+
+def test_a_number_beyond_floats_in_our_own_file_is_not_known(tmp_path):
+    camera = mc.Camera("a", (640, 480), np.array(K), np.zeros(5))
+    rig = mc.CameraRig((camera,), np.eye(3)[None], np.zeros((1, 3)), "m")
+    path = tmp_path / "cameras.yaml"
+    mc.write(rig, path)
+    huge = "1" + 400 * "0"
+    path.write_text(
+        f"world: {{kind: floor, floor_sigma: {huge}}}\n{path.read_text('utf-8')}", "utf-8"
+    )
+    assert np.isnan(mc.read_rig(path).world.floor_sigma)
