@@ -45,10 +45,11 @@ class MocapCalibError(Exception):
 
     def render(self, spell: Spell) -> str:
         """Return the message in one line, its arguments as `spell` writes them."""
-        what, found = (one_line(text, _LONGEST) for text in (self.what, self.found))
-        where = f"{what}: " if what else ""
-        line = f"{where}expected {self.expected}, found {found}; {self.remedy}"
-        return spell_arguments(" ".join(line.split()), spell)
+        texts = (self.what, self.expected, self.found, self.remedy)
+        what, expected, found, remedy = (spell_arguments(text, spell) for text in texts)
+        where = f"{one_line(what, _LONGEST)}: " if what else ""
+        line = f"{where}expected {expected}, found {one_line(found, _LONGEST)}; {remedy}"
+        return " ".join(line.split())
 
 
 class FormatError(MocapCalibError):
@@ -66,7 +67,7 @@ class DegenerateError(MocapCalibError):
 class UnderconstrainedCameraError(DegenerateError):
     """A camera sees too little that agrees with others; without it they may be calibrated.
 
-    what: the name of the camera.
+    what: `camera NAME`.
     """
 
     @property

@@ -12,6 +12,7 @@ import pytest
 from scenes import calibrated, scene
 
 import mocap_calib as mc
+from mocap_calib.errors import argument
 from mocap_calib.results import Clocks
 from mocap_calib.types import AssumedCamera, EstimatedCamera
 
@@ -294,3 +295,8 @@ def test_a_run_in_python_is_that_of_the_command(done, small, tmp_path):
     assert same == result.groups[0].matches
     again = mc.triangulate(recording, result.groups[0].rig, same)
     np.testing.assert_allclose(again.positions, result.groups[0].poses.raw, atol=1e-10)
+
+
+def test_a_long_argument_in_a_refusal_is_shortened_without_its_marks():
+    refused = mc.MismatchError(argument("align", 400 * "a"), "landmarks", "none", "add some")
+    assert re.match("align='a{200,}[^\ue000-\ue002]*expected landmarks, found none", str(refused))
