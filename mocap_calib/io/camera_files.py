@@ -18,7 +18,7 @@ from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
 from mocap_calib.io.cameras import CameraFile, unique
 from mocap_calib.io.crash_guard import guard_hdf5
-from mocap_calib.io.document import NAMELESS, Document
+from mocap_calib.io.document import Document, as_document
 from mocap_calib.io.format import (
     Format,
     Written,
@@ -130,14 +130,12 @@ def load_cameras(
 
     Raises FormatError and MismatchError.
     """
-    if isinstance(path, bytes):
-        return load_document(Document(Path(NAMELESS), given=path), format, unit)
-    path = Path(path)
-    if path.is_dir():
-        return _load_folder(path, format, unit)
-    if found := name_media(path):
-        raise FormatError(str(path), expected_formats(CAMERA_FORMATS), found, _REMEDY)
-    return load_document(Document(path), format, unit)
+    document = as_document(path)
+    if document.given is None and document.path.is_dir():
+        return _load_folder(document.path, format, unit)
+    if found := name_media(document.path):
+        raise document.refuse(expected_formats(CAMERA_FORMATS), found, _REMEDY)
+    return load_document(document, format, unit)
 
 
 def load_document(document: Document, format: str | None, unit: str | None) -> CameraFile:
@@ -154,10 +152,8 @@ def looks_like_cameras(path: Path | bytes) -> bool:
 
     Raises FormatError where its JSON, TOML or YAML is broken.
     """
-    if isinstance(path, bytes):
-        return bool(sniff(CAMERA_FORMATS, Document(Path(NAMELESS), given=path)))
-    if not path.is_dir():
-        return bool(sniff(CAMERA_FORMATS, Document(path)))
+    if isinstance(path, bytes) or not path.is_dir():
+        return bool(sniff(CAMERA_FORMATS, as_document(path)))
     files = _list_files(path, FOLDER_ENDINGS)
     if files and sniff(CAMERA_FORMATS, Document(path, members=tuple(files))):
         return True

@@ -302,6 +302,13 @@ class Document:
         return f"content that begins with {self.content[:16]!r}"
 
 
+def as_document(source: str | Path | bytes) -> Document:
+    """Return a file, or the content of one, as a document."""
+    if isinstance(source, bytes):
+        return Document(Path(NAMELESS), given=source, camera=NAMELESS)
+    return Document(Path(source))
+
+
 def _describe_json(content: Any) -> str:
     """Describe an object or a list."""
     if isinstance(content, dict):

@@ -26,7 +26,7 @@ class Loss:
 
 @dataclass(frozen=True, kw_only=True)  # `frozen` makes no class of keywords alone
 class Format:
-    """A file format; what its three functions take and return is said by the table of its kind.
+    """A file format: how it is recognised, read and written, and what it cannot hold.
 
     kind: what its files hold.
     name: how users call it (`--format`, `--from`, `--to`).

@@ -14,7 +14,7 @@ from mocap_calib.io.atomic import check_no_other_files, write_files
 from mocap_calib.io.cameras import FILE_NAME, need_names
 from mocap_calib.io.crash_guard import end_calls, guard_hdf5
 from mocap_calib.io.detections import check_cameras, find_camera, frame_number
-from mocap_calib.io.document import NAMELESS, Document
+from mocap_calib.io.document import Document, as_document
 from mocap_calib.io.format import Format, Written, find_format, require_format, sniff
 from mocap_calib.io.formats import (
     coco,
@@ -99,7 +99,7 @@ def read_what_can(
     if format is not None:
         find_format(KEYPOINT_FORMATS, format)
     if isinstance(paths, bytes):
-        documents = [Document(Path(NAMELESS), given=paths, camera=NAMELESS)]
+        documents = [as_document(paths)]
     else:
         several = [paths] if isinstance(paths, str | Path) else paths
         documents = list_documents(several, options, format)

@@ -13,7 +13,7 @@ import numpy as np
 from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.atomic import individual_files, write_bytes, write_files
 from mocap_calib.io.crash_guard import guard_hdf5
-from mocap_calib.io.document import NAMELESS, Document
+from mocap_calib.io.document import Document, as_document
 from mocap_calib.io.file import find_repeated
 from mocap_calib.io.format import Written, find_format, require_format, sniff
 from mocap_calib.io.formats import (
@@ -72,11 +72,8 @@ def load_poses(
 
     Raises FormatError, and MismatchError where the file states another unit.
     """
-    given = (
-        Document(Path(NAMELESS), given=path) if isinstance(path, bytes) else Document(Path(path))
-    )
-    # a format that is named is taken at its word: its own complaint says more
-    document = replace(given, format=format)
+    # a format that is named is taken at its word: its own refusal says more
+    document = replace(as_document(path), format=format)
     known, file = guard_hdf5(document, _read, document, format)
     if unit is None:
         return file
@@ -94,9 +91,9 @@ def load_poses(
 
 def looks_like_poses(path: Path | bytes) -> bool:
     """Return whether the content of a file is of one of the formats."""
-    given = Document(Path(NAMELESS), given=path) if isinstance(path, bytes) else Document(path)
+    document = as_document(path)
     try:
-        return bool(guard_hdf5(given, sniff, POSE_FORMATS, given))
+        return bool(guard_hdf5(document, sniff, POSE_FORMATS, document))
     except FormatError:
         return False
 
