@@ -6,12 +6,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
-import msgspec
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.camera_checks import make_camera, make_extrinsics
-from mocap_calib.io.document import Document
+from mocap_calib.io.document import Document, typed
 from mocap_calib.io.file import find_repeated
 from mocap_calib.io.provenance import read_judgement
 from mocap_calib.io.zeros import unsigned_zeros
@@ -134,24 +133,13 @@ def unique(cameras: Iterable[Camera], source: str) -> tuple[Camera, ...]:
     return kept
 
 
-def typed(kind: type[T], tree: Any, source: str, expected: str) -> T:
-    """Return a parsed tree as a record (or a list or mapping of such). Raises FormatError.
-
-    expected: what the record is, for the complaint.
-    """
-    try:
-        return msgspec.convert(tree, kind, strict=False)
-    except (msgspec.ValidationError, TypeError, OverflowError) as error:
-        raise FormatError(source, expected, f"an error ({error})", REMEDY) from None
-
-
 def entries(kind: type[T], tree: Any, source: str, expected: str) -> list[tuple[str, T]]:
     """Return (name or number, record) of a mapping or a list of mappings. Raises FormatError.
 
     expected: what they are, for the complaint.
     """
     named = dict(enumerate(tree)) if isinstance(tree, list) else tree
-    found = typed(dict[Any, kind], named, source, expected)  # type: ignore[valid-type]
+    found = typed(named, dict[Any, kind], source, expected)  # type: ignore[valid-type]
     if not found:
         raise FormatError(source, expected, "none", REMEDY)
     return [(str(name), record) for name, record in found.items()]

@@ -3,9 +3,8 @@
 import re
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from mocap_calib import mapped
@@ -21,13 +20,6 @@ NO_SCORE = "no scores in the file: every point counts fully"
 ABSENT_FRAMES = "frames without a detection are not in the file"
 MOST_INSTANCES = 1000  # in a frame
 _MISSING = ("(0, 0)", "(-1, -1)", "empty or NaN", "confidence 0")  # how files mark missing points
-_TYPES = {
-    "array": "a list",
-    "float": "a number",
-    "int": "a whole number",
-    "object": "an object",
-    "str": "text",
-}
 _POINTS_AT_A_TIME = 50_000
 _MOST_CAMERAS = 200  # in a file; the time to compare views grows with the square of their number
 _MOST_KEYPOINTS = 5000
@@ -37,7 +29,6 @@ _SUFFIX_OR_ZEROS = r"\.[A-Za-z]\w*$|^(?P<whole>[0-9]+)\.0+$"  # `.png`, or `.0` 
 _NOT_WHOLE = r"-[0-9.]+|[0-9]*\.[0-9]+"
 
 Views = Sequence[Keypoints2D]
-T = TypeVar("T")
 
 
 # --- names and numbers
@@ -144,27 +135,6 @@ def is_list_of(entries: Any, *keys: str) -> bool:
     if not isinstance(entries, list) or not entries:
         return False
     return all(isinstance(entry, dict) and set(keys) <= entry.keys() for entry in entries[:20])
-
-
-def typed(document: Document, kind: type[T]) -> T:
-    """Return the JSON of a document as records. Raises FormatError with the place in the file."""
-    if document.json is None:
-        remedy = "export it again, or remove it"
-        raise document.refuse("JSON", document.describe()[0], remedy)
-    try:
-        return msgspec.convert(document.json, kind)
-    except (msgspec.ValidationError, OverflowError) as error:
-        said, _, place = re.sub("`(.+?)`", _in_words, str(error)).partition(" - at ")
-        expected, _, found = said.removeprefix("Expected ").partition(", got ")
-        if said.startswith("Object missing required"):
-            expected, found = said.removeprefix("Object missing required "), "none"
-        at = f" at {place}" if place else ""
-        raise document.refuse(f"{expected}{at}", found or "another value") from None
-
-
-def _in_words(kind: re.Match[str]) -> str:
-    """Return a type of JSON as text has it; anything else as it is."""
-    return " or ".join(_TYPES.get(each, each) for each in kind[1].split(" | "))
 
 
 def triples(numbers: Sequence[float | None], source: str, named: str) -> Floats:

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import h5py
 import msgspec
@@ -36,7 +36,15 @@ _DAMAGED = "the file is cut or damaged: export it again"
 _LISTED_TEXT = 40  # characters of a file in a message
 _HEAD = 65536  # bytes of a file that formats are told by
 _BLOCK = 250_000  # bytes that are read at a time
+_TYPES = {
+    "array": "a list",
+    "float": "a number",
+    "int": "a whole number",
+    "object": "an object",
+    "str": "text",
+}
 NAMELESS = "stdin"  # the path of content that comes without one
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -260,6 +268,12 @@ class Document:
         except ValueError as error:
             raise self.refuse("complete JSON", f"an error ({error})", _DAMAGED) from None
 
+    def records(self, kind: type[T]) -> T:
+        """Return the JSON as records. Raises FormatError with the place in the file."""
+        if self.json is None:
+            raise self.refuse("JSON", self.describe()[0], "export it again, or remove it")
+        return typed(self.json, kind, self.source)
+
     # --- HDF5
 
     @property
@@ -321,6 +335,29 @@ def _describe_json(content: Any) -> str:
 def describe_names(names: Iterable[object]) -> str:
     """Return the first of some names."""
     return ", ".join(map(str, list(names)[:8])) or "nothing"
+
+
+def typed(tree: Any, kind: type[T], source: str, expected: str = "") -> T:
+    """Return a parsed tree as records. Raises FormatError with the place in the tree.
+
+    expected: what the records are, for a refusal; numbers may be text then, as in YAML.
+    """
+    try:
+        return msgspec.convert(tree, kind, strict=not expected)
+    except (msgspec.ValidationError, TypeError, OverflowError) as error:
+        said, _, place = re.sub("`(.+?)`", _in_words, str(error)).partition(" - at ")
+        wanted, _, found = said.removeprefix("Expected ").partition(", got ")
+        if said.startswith("Object missing required"):
+            wanted, found = said.removeprefix("Object missing required "), "none"
+        at = f" at {place}" if place else ""
+        if not found:  # such as "Invalid enum value 'x'"
+            wanted, found = expected or "another value", said[:1].lower() + said[1:]
+        raise FormatError(source, f"{wanted}{at}", found, "export it again") from None
+
+
+def _in_words(kind: re.Match[str]) -> str:
+    """Return a type of JSON as text has it; anything else as it is."""
+    return " or ".join(_TYPES.get(each, each) for each in kind[1].split(" | "))
 
 
 def need(fields: Mapping[str, Any], keys: Iterable[str], source: str) -> None:

@@ -24,7 +24,6 @@ from mocap_calib.io.detections import (
     cameras_by_pattern,
     frame_number,
     make_view,
-    typed,
     unique_names,
     visibility_as_confidence,
 )
@@ -96,7 +95,7 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     if not document.json.keys() >= _LISTS:
         remedy = "join results without images and names with their annotations file"
         raise document.refuse(_EXPECTED, document.describe()[0], remedy)
-    file = typed(document, _File)
+    file = document.records(_File)
     if not file.images:
         remedy = "export the images together with the annotations"
         raise document.refuse("at least one entry in `images`", "none", remedy)

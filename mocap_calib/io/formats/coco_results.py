@@ -16,7 +16,6 @@ from mocap_calib.io.detections import (
     frame_numbers,
     is_list_of,
     triples,
-    typed,
     view_of_frames,
 )
 from mocap_calib.io.document import Document
@@ -59,7 +58,7 @@ def read_coco(
     Frames are the image ids, or what the pattern's group `frame` finds in them. All are of the
     file's camera where there is no pattern. Raises FormatError.
     """
-    entries, pattern = typed(document, list[_Detection]), options.camera_pattern
+    entries, pattern = document.records(list[_Detection]), options.camera_pattern
     images = [str(entry.image_id) for entry in entries]
     cameras = cameras_by_pattern(images, pattern, named="image_id", source=document.source)
     detections_of: dict[str, dict[str, list[Floats]]] = {}

@@ -34,7 +34,6 @@ from mocap_calib.io.detections import (
     frame_number,
     is_list_of,
     make_view,
-    typed,
     view_of_frames,
 )
 from mocap_calib.io.document import Document
@@ -276,7 +275,7 @@ def sniff_superanimal(document: Document) -> bool:
 
 def read_superanimal(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera. Raises FormatError."""
-    detections = [frame.bodyparts for frame in typed(document, list[_Frame])]
+    detections = [frame.bodyparts for frame in document.records(list[_Frame])]
     return (view_of_frames(document, options, range(len(detections)), detections),)
 
 

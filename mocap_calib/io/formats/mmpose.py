@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from mocap_calib.io.detections import frames_of, is_list_of, typed, view_of_frames
+from mocap_calib.io.detections import frames_of, is_list_of, view_of_frames
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.format import Format
@@ -55,7 +55,7 @@ def sniff_video(document: Document) -> bool:
 def read_images(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera, whose files are its frames. Raises FormatError."""
     names, numbers = frames_of(document)
-    detections = [_points(typed(each, list[_Instance]), each) for each in document.documents()]
+    detections = [_points(each.records(list[_Instance]), each) for each in document.documents()]
     view = view_of_frames(document, options, numbers, detections, unambiguous=_LAYOUTS, rows=names)
     return (view,)
 
@@ -63,7 +63,7 @@ def read_images(document: Document, options: ReadOptions) -> tuple[Keypoints2D, 
 def read_video(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera; frame numbers are those of the file. Raises FormatError."""
     is_demo = isinstance(document.json, dict)
-    demo = typed(document, _Demo) if is_demo else _Demo(typed(document, list[_Frame]))
+    demo = document.records(_Demo) if is_demo else _Demo(document.records(list[_Frame]))
     names = demo.meta_info.keypoint_id2name if demo.meta_info else None
     if names is not None and not options.layout:
         numbers = [str(number) for number in range(len(names))]

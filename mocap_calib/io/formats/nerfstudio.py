@@ -26,9 +26,8 @@ from mocap_calib.io.cameras import (
     lens_terms,
     pinhole_matrix,
     to_json,
-    typed,
 )
-from mocap_calib.io.document import Document
+from mocap_calib.io.document import Document, typed
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields
 from mocap_calib.types import CameraRig
@@ -78,7 +77,7 @@ def read(document: Document) -> CameraFile:
 
 def _read_frame(fields: Mapping[str, Any], where: str) -> RawCamera:
     """Return the camera of a frame. Raises FormatError."""
-    frame = typed(_Frame, fields, where, _EXPECTED)
+    frame = typed(fields, _Frame, where, _EXPECTED)
     fisheye = frame.camera_model == "OPENCV_FISHEYE"
     if not fisheye and frame.k4 != 0:
         expected = "k1, k2, k3, p1, p2 of OpenCV's model"

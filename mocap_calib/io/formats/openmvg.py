@@ -26,9 +26,8 @@ from mocap_calib.io.cameras import (
     lens_terms,
     pinhole_matrix,
     to_json,
-    typed,
 )
-from mocap_calib.io.document import Document
+from mocap_calib.io.document import Document, typed
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields
 from mocap_calib.types import Camera, CameraRig
@@ -104,7 +103,7 @@ def sniff(document: Document) -> bool:
 
 def read(document: Document) -> CameraFile:
     """Read the views as cameras; those without intrinsics are left out. Raises FormatError."""
-    file = typed(_File, document.mapping(), document.source, _EXPECTED)
+    file = typed(document.mapping(), _File, document.source, _EXPECTED)
     intrinsics = {each.key: each.value for each in file.intrinsics}
     models = {
         each.polymorphic_id % _FIRST_TIME: each.polymorphic_name
@@ -116,7 +115,7 @@ def read(document: Document) -> CameraFile:
     notes: list[str] = []
     for item in file.views:
         where = f"{document.source}: view {item.key}"
-        view = typed(_View, item.value.ptr_wrapper.data, where, _EXPECTED)
+        view = typed(item.value.ptr_wrapper.data, _View, where, _EXPECTED)
         name = camera_of_image(view.filename)
         found = intrinsics.get(view.id_intrinsic)
         if found is None:
@@ -137,7 +136,7 @@ def _read_camera(
     if model not in _MODELS:
         expected = f"one of the models {', '.join(_MODELS)}"
         raise FormatError(where, expected, model, "choose another camera model")
-    intrinsic = typed(_Intrinsic, fields, where, "intrinsics of OpenMVG")
+    intrinsic = typed(fields, _Intrinsic, where, "intrinsics of OpenMVG")
     key, order = _MODELS[model]
     known = [index for index in order if index is not None]
     expected = f"{len(known)} numbers {key}"

@@ -20,7 +20,6 @@ from mocap_calib.io.detections import (
     frame_numbers,
     frames_of,
     triples,
-    typed,
     view_of_frames,
 )
 from mocap_calib.io.document import Document
@@ -65,9 +64,9 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the people of one camera. Raises FormatError."""
     if document.is_folder or _is_frame(document.json):
         names, numbers = frames_of(document)
-        people = [_people(typed(each, _Frame), each) for each in document.documents()]
+        people = [_people(each.records(_Frame), each) for each in document.documents()]
     else:
-        frames = typed(document, dict[str, _Frame])
+        frames = document.records(dict[str, _Frame])
         names, numbers = list(frames), frame_numbers(list(frames), document.source)
         people = [_people(frame, document) for frame in frames.values()]
     view = view_of_frames(document, options, numbers, people, unambiguous=_LAYOUTS, rows=names)

@@ -15,8 +15,8 @@ import msgspec
 import yaml
 
 from mocap_calib.geometry.rotation import rig_size
-from mocap_calib.io.cameras import CameraFile, RawCamera, collect_cameras, typed
-from mocap_calib.io.document import Document
+from mocap_calib.io.cameras import CameraFile, RawCamera, collect_cameras
+from mocap_calib.io.document import Document, typed
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields, read_judgement, round_sigma
 from mocap_calib.io.world_fields import read_world, stated_world
@@ -87,7 +87,7 @@ def read(document: Document) -> CameraFile:
         found = f"version {data.get('version')}"
         expected = f"version {VERSION} of our cameras"
         raise document.refuse(expected, found, "use the program that wrote it")
-    file = typed(_File, data, document.source, f"cameras with {_EXPECTED}")
+    file = typed(data, _File, document.source, f"cameras with {_EXPECTED}")
     rig = collect_cameras(
         (each.raw() for each in file.cameras),
         document.source,
@@ -106,7 +106,7 @@ def read(document: Document) -> CameraFile:
 
 def camera_from_fields(fields: Any, source: str) -> Camera:
     """Return the camera that `camera_fields` wrote. Raises FormatError."""
-    read = typed(_Camera, fields, source, f"a camera with {_EXPECTED}")
+    read = typed(fields, _Camera, source, f"a camera with {_EXPECTED}")
     camera, _ = read.raw().check(source)
     return read.mark(camera)
 
