@@ -1,5 +1,8 @@
 """What Python users call: read a recording, write whatever was found, and methods of records.
 
+Compiled kernels, and what imports them, are imported by the functions that need them: importing
+numba takes most of a second, and a file is read without it.
+
 Methods whose work is done in rooms above `results` are bound to the records here, and
 `mocap_calib.__getattr__` imports this module first: `rig.project(...)` works for every user. The
 package itself calls the functions of the rooms.
@@ -15,7 +18,6 @@ from numpy.typing import ArrayLike
 
 from mocap_calib import __version__
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.lens import project_points
 from mocap_calib.io.camera_files import CAMERA_FORMATS, load_cameras, write_cameras
 from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.keypoints import write_keypoints
@@ -26,9 +28,7 @@ from mocap_calib.io.poses import check_rate, describe_poses
 from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.notebook.tables import describe_group, describe_result, describe_rig
-from mocap_calib.report import run_report, verdict_of_cameras
 from mocap_calib.results import CalibrationResult, GroupResult, Mend, Poses3D
-from mocap_calib.rig.triangulate import triangulate_pixels
 from mocap_calib.types import (
     Camera,
     CameraRig,
@@ -157,6 +157,8 @@ def _provenance_of(rig: CameraRig, result: CalibrationResult | None) -> dict[str
     """
     if result is None:
         return {"version": __version__}
+    from mocap_calib.report import run_report, verdict_of_cameras
+
     for group in result.groups:
         if set(rig.names) <= set(group.rig.names):
             return {"version": __version__, **verdict_of_cameras(run_report(group, result))}
@@ -244,6 +246,19 @@ def _check_pattern(pattern: str) -> str:
 # --- methods of records
 
 
+def project(rig: CameraRig, points: ArrayLike) -> Floats:
+    """Return the pixels `[view, ..., 2]` of points `[..., 3]` in world coordinates.
+
+    The distortion of the lenses is applied. NaN stays NaN, and a point behind a camera is NaN
+    there. Pixels outside the image are returned like any other.
+
+    Raises ValueError where the last axis of the points is not 3.
+    """
+    from mocap_calib.geometry.lens import project_points
+
+    return project_points(rig, points)
+
+
 def triangulate(
     rig: CameraRig, pixels: ArrayLike, confidence: ArrayLike | None = None
 ) -> tuple[Floats, Floats]:
@@ -258,6 +273,8 @@ def triangulate(
 
     Raises ValueError for arrays of other shapes.
     """
+    from mocap_calib.rig.triangulate import triangulate_pixels
+
     middle = np.shape(pixels)[1:-1]
     seen = as_array("pixels", pixels, float, len(rig), *middle, 2)
     given = np.ones(seen.shape[:-1]) if confidence is None else confidence
@@ -370,7 +387,7 @@ def plot(found: GroupResult | CalibrationResult, *, moments: int = 60) -> "Figur
 
 _BOUND: dict[type[Any], dict[str, Any]] = {
     CameraRig: {
-        "project": project_points,
+        "project": project,
         "triangulate": triangulate,
         "_repr_html_": describe_rig,
     },

@@ -20,7 +20,6 @@ from mocap_calib.errors import count, one_line
 
 if TYPE_CHECKING:
     from mocap_calib import front
-    from mocap_calib.geometry.lens import project_points
 
 POSE = 6  # numbers of a change of pose: a turn and a shift
 
@@ -535,7 +534,7 @@ class CameraRig(Record):
         return _rotation_vectors(self.rotation)
 
     if TYPE_CHECKING:  # bound by `front`
-        project = project_points
+        project = front.project
         triangulate = front.triangulate
 
     def _pose(self, view: int) -> PosedCamera:

@@ -16,6 +16,7 @@ from mocap_calib.errors import argument
 from mocap_calib.results import Clocks
 from mocap_calib.types import AssumedCamera, EstimatedCamera
 
+EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
 HEAVY = {"numpy", "torch", "scipy", "cv2", "h5py", "yaml", "rich", "mocap_calib.config"}
 # what is run in a Python of its own, and which modules it must not import
 LIGHT = {
@@ -25,6 +26,12 @@ LIGHT = {
         "from mocap_calib_cli.main import main\n"
         "try: main()\nexcept SystemExit as end: assert end.code == 0",
         HEAVY - {"mocap_calib.config"},
+    ),
+    # importing numba takes most of a second, which reading a file does not need
+    "reading": (
+        "import mocap_calib as mc\n"
+        "mc.read_keypoints('keypoints'), mc.read_rig('reference.toml'), mc.Config",
+        {"numba", "torch", "cv2", "scipy"},
     ),
     # rigs are read, project, triangulate and are written without the network
     "cameras": (
@@ -46,6 +53,7 @@ def test_what_needs_no_heavy_module_imports_none(code, heavy):
         check=True,
         capture_output=True,
         text=True,
+        cwd=EXAMPLE,
     ).stdout
     assert not heavy & set(said.splitlines()[-1].split(" ")[1:])
 
