@@ -1,6 +1,7 @@
 """Clocks that differ, from the command line: found, mended, said, and kept in all files."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,3 +83,17 @@ def test_a_check_changes_nothing(made, tool):
     given = ("--cameras", made / "intrinsics.toml")
     seen = tool("inspect", made / "keypoints", *given, "--sync", *late)
     assert "cam2: its clock is 5 frames late; say --frame-offset cam2:-5" in seen.stdout
+
+
+def test_a_camera_of_half_the_frame_rate(small, tool, tmp_path):
+    """Its frames are every second frame of the others."""
+    first, second, third = mc.read_keypoints(small / "keypoints")
+    halves = {name: getattr(second, name)[::2] for name in ("positions", "confidence")}
+    second = replace(second, frames=second.frames[:15], **halves)
+    mc.write((first, second, third), tmp_path / "keypoints", format="coco")
+    words = ("--cameras", small / "intrinsics.toml", "-o", tmp_path / "out", "--smooth", "off")
+    rates = ("--fps", 30, "--fps", "cam2:15")
+    done = tool("run", tmp_path / "keypoints", *words, *rates, "--accept", "not-determined")
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "out" / "run.json").read_text("utf-8"))
+    assert [clock["rate"] for clock in report["clocks"]] == [1, 0.5, 1]
