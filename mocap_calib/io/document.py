@@ -192,10 +192,10 @@ class Document:
         """The beginning of the content as text, with marks for what is none."""
         return self.start.decode("utf-8-sig", errors="replace")
 
-    def lines(self) -> Iterator[str]:
-        """Return the lines of the text with their ends, a block of them in memory at a time."""
+    def lines(self, first_line: int = 0) -> Iterator[str]:
+        """Return the lines from a line on with their ends, a block of them in memory at a time."""
         encoding = "utf-8-sig"  # of the first block
-        for block in self.blocks():
+        for block in self.blocks(first_line):
             try:
                 text = block.decode(encoding)
             except UnicodeDecodeError:

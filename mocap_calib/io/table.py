@@ -1,4 +1,4 @@
-"""Read tables of separated text: comma-separated values, and what spreadsheets make of them.
+"""Read tables of comma-separated values.
 
     table = read_table(document, texts=("frame", "keypoint"), numbers=("x", "y", "score"))
     table.text("frame")  # `[row]` cells of a column of text
@@ -13,17 +13,18 @@ import csv
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import islice
 
 import msgspec
 import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
+from mocap_calib.io.file import LARGEST_EXACT_FLOAT
 from mocap_calib.types import Floats
 
 Column = int | str  # its index, or its heading
-_NUMBERS = msgspec.json.Decoder(list[float | None])
+_NUMBERS = msgspec.json.Decoder(list[list[float | None]])
 
 
 @dataclass(frozen=True)
@@ -31,135 +32,109 @@ class Table:
     """The rows below the header that are not empty.
 
     texts: text column -> its `[row]` cells, without spaces around them; of those that are there.
-    columns: the number columns.
     numbers: `[row, column]`, NaN where a cell is empty or the column is absent.
     lines: `[row]` line numbers in the file.
     """
 
     source: str
     texts: dict[Column, tuple[str, ...]]
-    columns: tuple[Column, ...]
     numbers: Floats
-    lines: tuple[int, ...]
-
-    def __len__(self) -> int:
-        return len(self.lines)
+    lines: list[int]
 
     def text(self, column: Column, absent: str = "") -> tuple[str, ...]:
         """Return the `[row]` cells of a text column, all of them `absent` where it is absent."""
-        return self.texts.get(column, (absent,) * len(self))
-
-    def number(self, column: Column) -> Floats:
-        """Return the `[row]` numbers of a column."""
-        return self.numbers[:, self.columns.index(column)]
+        return self.texts.get(column, (absent,) * len(self.lines))
 
     def refuse(self, row: int, expected: str, found: object, remedy: str) -> FormatError:
         """Return the refusal of a row (an index)."""
         return FormatError(f"{self.source}: row {self.lines[row]}", expected, found, remedy)
 
 
-def read_header(document: Document, rows: int = 1, separator: str = ",") -> list[list[str]]:
-    """Return the cells of the first rows that are not empty. Raises FormatError."""
-    lines = enumerate(document.lines(), start=1)
-    return [cells for _, cells in islice(_rows(lines, document, separator), rows)]
-
-
-def read_table(
-    document: Document,
-    *,
-    texts: Sequence[Column] = (),
-    numbers: Sequence[Column],
-    header_rows: int = 1,
-    separator: str = ",",
-    ragged: bool = False,
-) -> Table:
-    """Read columns of a table.
-
-    texts, numbers: the columns that are read.
-    ragged: a row may end anywhere behind its texts; else only where all numbers are missing.
-
-    Raises FormatError, also where a heading occurs twice, or there is no row below the header.
-    """
-    lines = enumerate(document.lines(), start=1)
-    header = [cells for _, cells in islice(_rows(lines, document, separator), header_rows)]
-    width = max(map(len, header), default=0)
-    places = _places(header, document)
-    text_places = {column: places[column] for column in texts if column in places}
-    number_places = [places.get(column, width) for column in numbers]
-    behind = max(text_places.values(), default=-1) + 1
-    is_plain = separator == "," and number_places == list(range(behind, width))
-    kept, values, line_of = list[list[str]](), array("d"), list[int]()
-    for line, text in lines:
-        cells, row = text.split(separator, behind), None
-        if is_plain and len(cells) > behind and '"' not in text:
-            row = _parse_plain(cells[behind], width - behind)
-        if row is None:
-            first = chain([(line, text)], lines)
-            line, cells = next(_rows(first, document, separator), (0, []))  # noqa: PLW2901
-            if not cells:
-                break
-            where = f"{document.source}: row {line}"
-            may_end = ragged or (len(cells) > behind and not any(cells[behind:]))
-            cells = _fit(cells, width, where, may_end=may_end)
-            row = [_parse_number(cells[place], where) for place in number_places]
-        kept.append([cells[place] for place in text_places.values()])
-        values.frombytes(np.array(row, dtype=np.float64).tobytes())
-        line_of.append(line)
-    if not line_of:
-        raise document.refuse("rows below the header", "none")
-    columns = (tuple(map(str.strip, column)) for column in zip(*kept, strict=True))
-    return Table(
-        source=document.source,
-        texts=dict(zip(text_places, columns, strict=True)),
-        columns=tuple(numbers),
-        numbers=np.frombuffer(values).reshape(len(line_of), len(number_places)),
-        lines=tuple(line_of),
-    )
-
-
-def _rows(
-    lines: Iterator[tuple[int, str]], document: Document, separator: str
-) -> Iterator[tuple[int, list[str]]]:
+def read_rows(document: Document, first_line: int = 0) -> Iterator[tuple[int, list[str]]]:
     """Yield the line number and the cells of each row that is not empty. Raises FormatError."""
-    number = 0
-
-    def texts() -> Iterator[str]:
-        nonlocal number
-        for number, text in lines:  # noqa: B007
-            yield text
-
+    reader = csv.reader(document.lines(first_line))
     try:
-        for cells in csv.reader(texts(), delimiter=separator):
+        for cells in reader:
             if any(cells):
-                yield number, cells
+                yield first_line + reader.line_num, cells
     except csv.Error as error:
         raise document.refuse("separated values", error) from None
 
 
-def _places(header: list[list[str]], document: Document) -> dict[Column, int]:
-    """Return the places of columns: by index, and by heading where the header is one row."""
-    places: dict[Column, int] = {k: k for k in range(max(map(len, header), default=0))}
-    headings = [cell.strip() for cell in header[0]] if len(header) == 1 else []
-    if len(set(headings)) < len(headings):
-        raise document.refuse("each column once", ",".join(headings), "rename or remove columns")
-    return places | {heading: place for place, heading in enumerate(headings)}
+def read_table(
+    document: Document, *, texts: Sequence[Column], numbers: Sequence[Column], header_rows: int = 1
+) -> Table:
+    """Read columns of a table.
 
+    texts, numbers: the columns that are read.
 
-def _parse_plain(cells: str, count: int) -> list[float | None] | None:
-    """Return the numbers of plain cells, None where they are empty; None for any other cells.
-
-    JSON's parser takes a quarter of the time of `float`, to the same last bit.
+    Raises FormatError, also where a heading occurs twice, or there is no row below the header.
     """
-    if "n" in cells:  # nan, null
-        return None
-    cells = f",{cells.strip()},"
-    while ",," in cells:  # each time finds every second of neighbours
-        cells = cells.replace(",,", ",null,")
-    try:
-        numbers = _NUMBERS.decode(f"[{cells[1:-1]}]")
-    except msgspec.MsgspecError:
-        return None
-    return numbers if len(numbers) == count else None
+    rows = read_rows(document)
+    header = list(islice(rows, header_rows))
+    first_line = header[-1][0]
+    width = max(len(cells) for _, cells in header)
+    places: dict[Column, int] = {place: place for place in range(width)}
+    if header_rows == 1:
+        headings = [cell.strip() for cell in header[0][1]]
+        if len(set(headings)) < len(headings):
+            remedy = "rename or remove columns"
+            raise document.refuse("each column once", ",".join(headings), remedy)
+        places |= {heading: place for place, heading in enumerate(headings)}
+    text_places = {column: places[column] for column in texts if column in places}
+    number_places = [places.get(column, width) for column in numbers]
+    plain = array("d")
+    if [*text_places.values(), *number_places] == list(range(width)) and len(text_places) == 1:
+        plain = _read_plain(document, first_line, width)
+    values = np.frombuffer(plain).reshape(-1, width)
+    lines = list(range(first_line + 1, first_line + 1 + len(values)))
+    kept = [[str(number)] for number in values[:, 0].astype(np.int64).tolist()]
+    further, first_cell = array("d"), max(text_places.values(), default=-1) + 1
+    for line, cells in read_rows(document, first_line + len(values)) if len(values) else rows:
+        where = f"{document.source}: row {line}"
+        is_missing = len(cells) > first_cell and not any(cells[first_cell:])
+        row = _fit(cells, width, where, may_end=is_missing)
+        further.extend(_parse_number(row[place], where) for place in number_places)
+        kept.append([row[place].strip() for place in text_places.values()])
+        lines.append(line)
+    if not lines:
+        raise document.refuse("rows below the header", "none")
+    return Table(
+        source=document.source,
+        texts=dict(zip(text_places, zip(*kept, strict=True), strict=False)),
+        numbers=_join(values[:, 1:], np.frombuffer(further).reshape(-1, len(number_places))),
+        lines=lines,
+    )
+
+
+def _join(first: Floats, then: Floats) -> Floats:
+    """Return `[row, column]` numbers of both, without a copy where one has no rows."""
+    if not len(first) or not len(then):
+        return first if len(first) else then
+    return np.concatenate([first, then])
+
+
+def _read_plain(document: Document, first_line: int, width: int) -> "array[float]":
+    """Return the numbers of a table of `width` columns, up to the first block of other cells.
+
+    The first column holds frame numbers. JSON's parser takes a quarter of the time of `float`, to
+    the same last bit.
+    """
+    found = array("d")
+    for block in document.blocks(first_line):
+        rows = block.replace(b"\r\n", b"\n").strip(b"\n").replace(b"\n", b"],[")
+        try:
+            numbers = _NUMBERS.decode(b"[[" + rows + b"]]")
+        except msgspec.MsgspecError:
+            break
+        if set(map(len, numbers)) != {width}:
+            break
+        values = np.array(numbers, dtype=np.float64)
+        first = values[:, 0]
+        if not (np.mod(first, 1) == 0).all() or np.abs(first).max() > LARGEST_EXACT_FLOAT:
+            break
+        found.frombytes(values.tobytes())
+    return found
 
 
 def _fit(cells: list[str], width: int, where: str, *, may_end: bool) -> list[str]:

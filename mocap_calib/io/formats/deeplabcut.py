@@ -21,6 +21,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import msgspec
 import numpy as np
@@ -40,7 +41,7 @@ from mocap_calib.io.document import Document
 from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format
 from mocap_calib.io.read_options import ReadOptions
-from mocap_calib.io.table import read_header, read_table
+from mocap_calib.io.table import read_rows, read_table
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
@@ -182,7 +183,7 @@ def sniff_csv(document: Document) -> bool:
 def read_csv(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the camera of a DeepLabCut or Lightning Pose .csv. Raises FormatError."""
     header: dict[str, list[str]] = {}
-    for cells in read_header(document, len(LEVELS)):
+    for _, cells in islice(read_rows(document), len(LEVELS)):
         if cells[0] not in LEVELS:
             break
         header[cells[0]] = cells

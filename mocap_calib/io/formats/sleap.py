@@ -198,11 +198,11 @@ def read_csv(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...
         count = defaultdict[str, Iterator[int]](itertools.count)
         tracks = tuple(str(next(count[frame])) for frame in frames)
     points = Points(
-        camera=(document.camera,) * (len(nodes) * len(table)),
+        camera=(document.camera,) * (len(nodes) * len(frames)),
         frame=frames * len(nodes),
         identity=tracks * len(nodes),
         keypoint=[node for node in nodes for _ in frames],
-        values=table.numbers.reshape(len(table), -1, 3).swapaxes(0, 1).reshape(-1, 3),
+        values=table.numbers.reshape(len(frames), -1, 3).swapaxes(0, 1).reshape(-1, 3),
         lines=table.lines * len(nodes),
     )
     return views_from_points(points, document, tracked=tracked, remarks=(ABSENT_FRAMES,))
