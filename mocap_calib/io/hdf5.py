@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_calib import mapped
 from mocap_calib.errors import FormatError
 from mocap_calib.io.file import MOST_POINTS
 from mocap_calib.types import Ints
@@ -37,6 +38,7 @@ _MOST_UNPACKED = 100
 _SMALL = 100_000_000
 # or what deflate may have packed: hundreds of tracks, nearly all of them missing points
 _MOST_EMPTY = 1_000_000_000
+_CHUNK = 1 << 19  # bytes that are packed together
 _REMEDY = "the file is cut or damaged: export it again"
 
 
@@ -102,10 +104,34 @@ def names(group: Any, name: str, source: str) -> tuple[str, ...]:
     return tuple(text(entry) for entry in array(group, name, source).reshape(-1))
 
 
+def names_if_there(group: Any, name: str, source: str) -> tuple[str, ...]:
+    """Return a dataset of names, none where there is no such dataset. Raises as `array` does."""
+    return names(group, name, source) if name in group else ()
+
+
 def write_names(group: Any, name: str, values: Iterable[str]) -> None:
     """Write a dataset of names, without the time."""
     texts = np.array(tuple(values), dtype=object)
     group.create_dataset(name, data=texts, dtype=h5py.string_dtype(), track_times=False)
+
+
+def write_packed(file: h5py.File, name: str, array: NDArray[Any]) -> None:
+    """Write an array `[frame, ...]` as a dataset that is packed, without the time."""
+    if not array.size:
+        file.create_dataset(name, array.shape, array.dtype, track_times=False)
+        return
+    frames = max(1, min(len(array), _CHUNK // array[:1].nbytes))
+    dataset = file.create_dataset(
+        name,
+        array.shape,
+        array.dtype,
+        chunks=(frames, *array.shape[1:]),
+        compression="gzip",
+        shuffle=True,
+        track_times=False,
+    )
+    for block in mapped.frame_slices(len(array), frames):
+        dataset[block] = array[block]
 
 
 def require_filters(group: Any, source: str, remedy: str) -> None:

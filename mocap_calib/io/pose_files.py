@@ -93,7 +93,7 @@ def looks_like_poses(path: Path | bytes) -> bool:
     """Return whether the content of a file is of one of the formats."""
     document = as_document(path)
     try:
-        return bool(guard_hdf5(document, sniff, POSE_FORMATS, document))
+        return bool(guard_hdf5(document, _sniff, document))
     except FormatError:
         return False
 
@@ -118,6 +118,11 @@ def join_individuals(files: Sequence[PoseFile], source: str) -> PoseFile:
     notes = tuple(note for file in files for note in file.notes)
     poses = _join_poses([file.poses for file in files])
     return PoseFile(poses, first.rate, _join_names(files), notes, first.edges, joints=first.joints)
+
+
+def _sniff(document: Document) -> str:
+    """Return the name of the format that the content shows. Raises FormatError."""
+    return sniff(POSE_FORMATS, document)
 
 
 def _read(document: Document, format: str | None) -> tuple[str, PoseFile]:

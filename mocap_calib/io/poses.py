@@ -1,12 +1,13 @@
 """What a file of 3D poses holds besides the poses, and what the formats share."""
 
+import math
 import re
 import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import h5py
@@ -52,9 +53,9 @@ class PoseFile:
     """
 
     poses: Poses3D
-    rate: float = float("nan")
+    rate: float = math.nan
     individuals: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     edges: tuple[tuple[int, int], ...] = ()
     rig: CameraRig | None = None
     joints: tuple[str, ...] = ()
@@ -67,41 +68,38 @@ class PoseFile:
         return tuple(joint or name for joint, name in zip(joints, names, strict=True))
 
     def __post_init__(self) -> None:
-        count = self.poses.positions.shape[1]
-        if not self.individuals:
-            object.__setattr__(self, "individuals", tuple(f"individual_{k}" for k in range(count)))
+        """Raise ValueError for another number of names or joints, and edges of other keypoints."""
+        _, count, keypoints = self.poses.positions.shape[:3]
+        unnamed = tuple(f"individual_{k}" for k in range(count))
+        object.__setattr__(self, "individuals", tuple(self.individuals) or unnamed)
         if len(self.individuals) != count:
-            raise ValueError(f"{len(self.individuals)} names for {count} individuals")
+            raise ValueError(f"individuals: expected {count} names, got {len(self.individuals)}")
+        if self.joints and len(self.joints) != keypoints:
+            raise ValueError(f"joints: expected {keypoints}, got {len(self.joints)}")
+        ends = {end for edge in self.edges for end in edge}
+        if ends and not 0 <= min(ends) <= max(ends) < keypoints:
+            expected = f"expected keypoints 0 to {keypoints - 1}"
+            raise ValueError(f"edges: {expected}, got {min(ends)} to {max(ends)}")
 
 
 def describe_poses(
-    poses: Poses3D,
-    fps: float | None,
-    individuals: Sequence[str] = (),
-    *,
-    edges: tuple[tuple[int, int], ...] = (),
-    rig: CameraRig | None = None,
-    joints: tuple[str, ...] = (),
+    poses: Poses3D, fps: float | None, individuals: Sequence[str] = (), **known: Any
 ) -> PoseFile:
-    """Return poses with what is known beside.
+    """Return poses with what is known beside them, see `PoseFile`.
 
-    fps: frames per second; None: not known. The others: see `PoseFile`.
+    fps: frames per second; None: not known.
 
-    Raises ValueError for another number of names, names that occur twice, and a rate that is not
+    Raises ValueError as `PoseFile` does, for names that occur twice, and for a rate that is not
     above 0.
     """
     check_names("individuals", individuals)
-    count = poses.positions.shape[1]
-    if len(individuals) not in (0, count):
-        raise ValueError(f"individuals: expected {count} names, got {len(individuals)}")
     check_rate(fps)
-    rate = float("nan") if fps is None else fps
-    return PoseFile(poses, rate, tuple(individuals), edges=edges, rig=rig, joints=joints)
+    return PoseFile(poses, math.nan if fps is None else fps, tuple(individuals), **known)
 
 
 def check_rate(fps: float | None) -> None:
-    """Raise ValueError where frames per second are said and are not above 0."""
-    if fps is not None and not 0 < fps < np.inf:
+    """Raise ValueError where frames per second are given and not above 0."""
+    if fps is not None and not 0 < fps < math.inf:
         raise ValueError(f"fps: expected a number above 0, got {fps}")
 
 
@@ -178,10 +176,8 @@ def check_poses(file: PoseFile, source: str) -> PoseFile:
     Raises FormatError where a name or a frame occurs twice, or frames are not in order.
     """
     for what, names in (("keypoint", file.poses.keypoints), ("individual", file.individuals)):
-        twice = find_repeated(names)
-        if twice:
-            found = f"{', '.join(twice)} twice"
-            raise FormatError(source, f"each {what} once", found, "rename one of them")
+        if twice := ", ".join(find_repeated(names)):
+            raise FormatError(source, f"each {what} once", f"{twice} twice", "rename one of them")
     if (np.diff(file.poses.frames) <= 0).any():
         raise FormatError(source, "frames in order, each once", "others", "write the file again")
     return file
@@ -260,39 +256,15 @@ def need_keypoints(file: PoseFile, pattern: str, words: str, owner: str) -> None
             raise MismatchError(owner, f"names of {words}", f"{name!r}", "rename it")
 
 
-def _has_unit(file: PoseFile) -> bool:
-    return file.poses.unit != ARBITRARY
-
-
-def _has_errors(file: PoseFile) -> bool:
-    return bool(np.isfinite(file.poses.error).any())
-
-
-def _has_views(file: PoseFile) -> bool:
-    return bool(file.poses.views.any())
-
-
-def _has_confidences(file: PoseFile) -> bool:
-    return bool(np.isfinite(file.poses.confidence).any())
-
-
-def _has_covariances(file: PoseFile) -> bool:
-    return bool(np.isfinite(file.poses.covariance).any())
-
-
-def _has_names(file: PoseFile) -> bool:
-    return not all(UNNAMED.fullmatch(name) for name in file.individuals)
-
-
-def _has_lens(file: PoseFile) -> bool:
-    return file.rig is not None and any(camera.distortion.any() for camera in file.rig)
-
-
-UNIT = Loss("the unit ({0.poses.unit})", _has_unit)
-ERRORS = Loss("reprojection errors", _has_errors)
-VIEWS = Loss("numbers of views", _has_views)
-CONFIDENCES = Loss("confidences", _has_confidences)
-COVARIANCES = Loss("covariances", _has_covariances)
+UNIT = Loss("the unit ({0.poses.unit})", lambda file: file.poses.unit != ARBITRARY)
+ERRORS = Loss("reprojection errors", lambda file: np.isfinite(file.poses.error).any())
+VIEWS = Loss("numbers of views", lambda file: file.poses.views.any())
+CONFIDENCES = Loss("confidences", lambda file: np.isfinite(file.poses.confidence).any())
+COVARIANCES = Loss("covariances", lambda file: np.isfinite(file.poses.covariance).any())
 QUALITY = (ERRORS, VIEWS, CONFIDENCES, COVARIANCES)  # of positions alone
-INDIVIDUALS = Loss("the individuals' names", _has_names)
-LENSES = Loss("the distortion of lenses", _has_lens)
+INDIVIDUALS = Loss(
+    "the individuals' names", lambda file: not all(map(UNNAMED.fullmatch, file.individuals))
+)
+LENSES = Loss(
+    "the distortion of lenses", lambda file: any(c.distortion.any() for c in file.rig or ())
+)

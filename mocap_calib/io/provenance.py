@@ -1,29 +1,36 @@
 """What a result file says of how it came about, and of how far its cameras can be trusted."""
 
 import json
-import math
 import os
+import sys
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from itertools import takewhile
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
 
 from mocap_calib import __version__
 from mocap_calib.errors import MismatchError
-from mocap_calib.results import VERDICTS
+from mocap_calib.results import VERDICTS, VerdictWord
 
+_Size = Annotated[float, Meta(ge=0, le=sys.float_info.max)]
+_Line = Annotated[str, Meta(pattern=r"^[^\x00-\x1f\x7f-\x9f]*$", max_length=1000)]
+
+CAMERA_SIGMAS = ("rotation_sigma_deg", "centre_sigma_percent")
 # what a provenance says of the cameras beside it, and a conversion hands on: whether they were
 # adjusted, the verdict and what explains it, the error of the points in pixels, the first and last
 # frame that they hold for (where a camera was moved), and by the names of cameras how far these may
 # be off
-CAMERA_SIGMAS = ("rotation_sigma_deg", "centre_sigma_percent")
-_JUDGEMENT = {
+_JUDGEMENT: Mapping[str, Any] = {
     "adjusted": bool,
-    "verdict": str,
-    "remarks": list,
-    "reprojection_error_px": float,
-    "frames": list,
-    **dict.fromkeys(CAMERA_SIGMAS, dict),
+    "verdict": VerdictWord,
+    "remarks": list[_Line],
+    "reprojection_error_px": _Size,
+    "frames": Annotated[list[int], Meta(min_length=2, max_length=2)],
+    **dict.fromkeys(CAMERA_SIGMAS, dict[str, _Size]),
 }
 _ADVICE = {
     "usable": ": read the reasons; it may be too little for angles of joints",
@@ -32,7 +39,6 @@ _ADVICE = {
 }
 _SAYS = "mocap-calib: this rig is "  # before the verdict, in comments; remarks follow, indented
 _INDENT = "  "
-_LONGEST_REMARK = 1000  # characters
 
 
 def provenance(command: str, **fields: Any) -> Mapping[str, Any]:
@@ -80,19 +86,6 @@ def hold_for(fields: Mapping[str, Any], frames: Sequence[int], *more: str) -> di
     return {**fields, "frames": list(frames), "remarks": remarks + fields.get("remarks", [])}
 
 
-def _are_sigmas(values: Any) -> bool:
-    """Return whether these are standard deviations by the names of cameras."""
-    return isinstance(values, dict) and all(
-        isinstance(camera, str) and type(value) is float and 0 <= value < math.inf
-        for camera, value in values.items()
-    )
-
-
-def _is_span(frames: list[Any]) -> bool:
-    """Return whether these are a first and a last frame."""
-    return [type(each) for each in frames] == [int, int] and frames[0] <= frames[1]
-
-
 def advice_on(verdict: str) -> str:
     """Return what a verdict means for the use of a rig, to go on with after it; may be empty.
 
@@ -106,20 +99,10 @@ def read_judgement(stored: Any) -> dict[str, Any]:
 
     What was edited into something else is left out.
     """
-    if not isinstance(stored, Mapping):
-        return {}
-    found = {key: stored[key] for key, kind in _JUDGEMENT.items() if type(stored.get(key)) is kind}
-    if found.get("verdict", VERDICTS[0]) not in VERDICTS:
-        del found["verdict"]
-    if not math.isfinite(found.get("reprojection_error_px", 0.0)):
-        del found["reprojection_error_px"]
-    if "remarks" in found:
-        found["remarks"] = [each for each in found["remarks"] if _is_remark(each)]
-    if "frames" in found and not _is_span(found["frames"]):
-        del found["frames"]
-    for name in CAMERA_SIGMAS:
-        if name in found and not _are_sigmas(found[name]):
-            del found[name]
+    found: dict[str, Any] = {}
+    for key, kind in _JUDGEMENT.items() if isinstance(stored, Mapping) else ():
+        with suppress(LookupError, msgspec.ValidationError):
+            found[key] = msgspec.convert(stored[key], kind)
     return found
 
 
@@ -166,8 +149,3 @@ def date_of_making() -> str:
             "SOURCE_DATE_EPOCH", "whole seconds since 1970", f"{said!r}", "mend it or unset it"
         ) from None
     return time.strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def _is_remark(value: Any) -> bool:
-    """Return whether a value is a line of text."""
-    return isinstance(value, str) and value.isprintable() and len(value) <= _LONGEST_REMARK

@@ -7,59 +7,43 @@ the caller says of how it is calibrated).
 
 import hashlib
 import json
+import math
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_calib.errors import FormatError, one_line
 from mocap_calib.io.atomic import write_bytes
-from mocap_calib.io.camera_checks import describe_keys, numbers
 from mocap_calib.io.formats.own_cameras import camera_fields, camera_from_fields
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.results import PairwiseCalibration
-from mocap_calib.types import Camera, Mapper
+from mocap_calib.types import Camera, Ints, Mapper, check_shape
 
 T = TypeVar("T")
 R = TypeVar("R")
 
-VERSION = 1
-_FORMAT = "mocap-calib pairs"
 _REMEDY = "give the file that `pairwise` wrote"
+_HEAD = {
+    "format": "mocap-calib pairs",
+    "version": 1,
+    "transform": "b_from_a, baseline in body sizes",
+}
+_DAMAGE = (msgspec.MsgspecError, LookupError, ValueError, TypeError, AttributeError, OverflowError)
 
 
-def pair_fields(pair: PairwiseCalibration) -> dict[str, Any]:
-    """Return a pair as JSON has it: every digit is kept in Python, and so are NaN and infinity."""
-    alternatives = [_own_fields(alternative) for alternative in pair.alternatives]
-    return _own_fields(pair) | {"alternatives": alternatives}
+class _File(msgspec.Struct):
+    """What is read of a file; the cameras of a pair are named."""
 
-
-def pair_from_fields(stored: Mapping[str, Any], source: str) -> PairwiseCalibration:
-    """Return the pair that `pair_fields` spelt; alternatives may be absent, null is NaN.
-
-    source: what complaints call the pair.
-
-    Raises FormatError, and LookupError, TypeError, ValueError, AttributeError or OverflowError for
-    what is no pair.
-    """
-    alternatives = stored.get("alternatives", [])
-    return PairwiseCalibration(
-        a=int(stored["a"]),
-        b=int(stored["b"]),
-        rotation=numbers(stored["rotation"], "a 3 x 3 rotation", source).reshape(3, 3),
-        translation=numbers(stored["translation"], "a translation", source).reshape(3),
-        matches=np.array(stored["matches"], dtype=np.int64).reshape(-1, 3),
-        frames=int(stored["frames"]),
-        score=_figure(stored["score"]),
-        residual=_figure(stored["residual"]),
-        in_front=_figure(stored["in_front"]),
-        source=str(stored["source"]),
-        alternatives=tuple(pair_from_fields(each, source) for each in alternatives),
-    )
+    format: Literal["mocap-calib pairs"]
+    version: Literal[1]
+    cameras: list[dict[str, Any]]
+    pairs: list[dict[str, Any]]
 
 
 def pairs_to_json(pairs: Sequence[PairwiseCalibration], cameras: Sequence[Camera]) -> str:
@@ -67,17 +51,15 @@ def pairs_to_json(pairs: Sequence[PairwiseCalibration], cameras: Sequence[Camera
 
     Cameras are named, and NaN is null. A camera and a pair take a line each.
     """
-    head = {
-        "format": _FORMAT,
-        "version": VERSION,
-        "transform": "b_from_a, baseline in body sizes",
-    }
     names = [camera.name for camera in cameras]
-    members = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
+    spelt = [
+        _with_names(pair, names)
+        | {"alternatives": [_with_names(other, names) for other in pair.alternatives]}
+        for pair in pairs
+    ]
+    members = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in _HEAD.items()]
     members.append(_json_list("cameras", [camera_fields(camera) for camera in cameras]))
-    members.append(
-        _json_list("pairs", [_with_camera_names(pair_fields(pair), names) for pair in pairs])
-    )
+    members.append(_json_list("pairs", spelt))
     return "{\n" + ",\n".join(members) + "\n}\n"
 
 
@@ -90,65 +72,36 @@ def pairs_from_json(
 
     Raises FormatError.
     """
-    data = _parse(text, source)
-    cameras = tuple(camera_from_fields(each, source) for each in data["cameras"])
-    index = {camera.name: view for view, camera in enumerate(cameras)}
-    pairs = []
     try:
-        for number, stored in enumerate(data["pairs"]):
-            where = f"{source}: pair {number}"
-            pair = pair_from_fields(_with_camera_indices(stored, index), where)
-            _check_alternatives(pair, where)
-            pairs.append(pair)
+        file = msgspec.json.decode(text, type=_File)
+        cameras = tuple(camera_from_fields(each, source) for each in file.cameras)
+        index = {camera.name: view for view, camera in enumerate(cameras)}
+        pairs = tuple(_read_pair(_with_indices(pair, index)) for pair in file.pairs)
     except FormatError:
         raise
-    except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
+    except (*_DAMAGE, RecursionError) as error:
         found = f"an error ({one_line(error)})"
-        raise FormatError(source, "pairs of the cameras named", found, _REMEDY) from None
-    return tuple(pairs), cameras
+        raise FormatError(source, "the pairs that `pairwise` writes", found, _REMEDY) from None
+    return pairs, cameras
 
 
-def _own_fields(pair: PairwiseCalibration) -> dict[str, Any]:
-    """Return all fields of a pair but its alternatives."""
-    own = {}
-    for field in fields(pair):
-        if field.name != "alternatives":
-            value = getattr(pair, field.name)
-            own[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
-    return own
+def _with_names(pair: PairwiseCalibration, names: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of a pair but its alternatives, null for what is no finite number."""
+    fields = _spell(pair) | {"a": names[pair.a], "b": names[pair.b]}
+    del fields["alternatives"]
+    numbers = {key: value for key, value in fields.items() if isinstance(value, float)}
+    return fields | {key: None for key, value in numbers.items() if not math.isfinite(value)}
 
 
-def _figure(value: Any) -> float:
-    return np.nan if value is None else float(value)
-
-
-def _with_camera_names(stored: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Return the fields of a pair with the names of its cameras, and null for what is no number."""
-    named = dict(stored)
-    for key, value in stored.items():
-        if isinstance(value, float) and not np.isfinite(value):
-            named[key] = None
-    named |= {"a": names[stored["a"]], "b": names[stored["b"]]}
-    if "alternatives" in stored:
-        named["alternatives"] = [_with_camera_names(each, names) for each in stored["alternatives"]]
-    return named
-
-
-def _with_camera_indices(stored: Mapping[str, Any], index: Mapping[str, int]) -> dict[str, Any]:
-    """Return the fields of a pair with the indices of its cameras."""
-    indexed = dict(stored)
-    indexed |= {"a": index[stored["a"]], "b": index[stored["b"]]}
-    indexed["alternatives"] = [
-        _with_camera_indices(each, index) for each in stored.get("alternatives", [])
-    ]
-    return indexed
-
-
-def _check_alternatives(pair: PairwiseCalibration, source: str) -> None:
-    """Raise FormatError where an alternative is of other cameras."""
-    cameras = {pair.a, pair.b}
-    if any({alternative.a, alternative.b} != cameras for alternative in pair.alternatives):
-        raise FormatError(source, "alternatives of the same two cameras", "others", _REMEDY)
+def _with_indices(stored: Mapping[str, Any], index: Mapping[str, int]) -> dict[str, Any]:
+    """Return the fields of a pair with the indices of its cameras, NaN for null."""
+    fields = {key: np.nan if value is None else value for key, value in stored.items()}
+    alternatives = [_with_indices(each, index) for each in stored.get("alternatives", [])]
+    return fields | {
+        "a": index[stored["a"]],
+        "b": index[stored["b"]],
+        "alternatives": alternatives,
+    }
 
 
 def _json_list(name: str, entries: Sequence[Any]) -> str:
@@ -157,19 +110,26 @@ def _json_list(name: str, entries: Sequence[Any]) -> str:
     return f"{json.dumps(name)}: [\n  {lines}\n]"
 
 
-def _parse(text: str, source: str) -> dict[str, Any]:
-    """Return the parsed file, which has lists of cameras and pairs. Raises FormatError."""
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(source, "JSON", f"an error ({error})", _REMEDY) from None
-    head = (data.get("format"), data.get("version")) if isinstance(data, dict) else None
-    if head != (_FORMAT, VERSION):
-        expected = f"{_FORMAT}, version {VERSION}"
-        raise FormatError(source, expected, describe_keys(data), _REMEDY)
-    if not isinstance(data.get("cameras"), list) or not isinstance(data.get("pairs"), list):
-        raise FormatError(source, "lists of cameras and pairs", describe_keys(data), _REMEDY)
-    return data
+def _spell(pair: PairwiseCalibration | None) -> Any:
+    """Return a pair as JSON has it: every digit is kept in Python, and so are NaN and infinity."""
+    return msgspec.to_builtins(pair, enc_hook=lambda value: value.tolist())
+
+
+def _read_pair(stored: Any) -> PairwiseCalibration:
+    """Return the pair that `_spell` spelt. Raises one of `_DAMAGE` for what is no pair."""
+    pair = msgspec.convert(stored, PairwiseCalibration, dec_hook=_as_array)
+    check_shape("rotation", pair.rotation, 3, 3)
+    check_shape("translation", pair.translation, 3)
+    if any({other.a, other.b} != {pair.a, pair.b} for other in pair.alternatives):
+        raise ValueError("alternatives of other cameras")
+    return pair
+
+
+def _as_array(kind: Any, values: Any) -> NDArray[Any]:
+    """Return nested lists as an array of a pair: whole numbers are its `[match, 3]`."""
+    if kind == Ints:
+        return np.array(values, dtype=np.int64).reshape(-1, 3)
+    return np.array(values, dtype=np.float64)
 
 
 # --- pairs of a run that is under way
@@ -190,12 +150,13 @@ def remember_pairs(mapper: Mapper, folder: Path, method: str) -> Mapper:
             for item in items:
                 path = folder / f"{_hash(method, item)}.json"
                 try:
-                    known.append(cast(R, _decode(path.read_bytes())))
-                except (OSError, FormatError, LookupError, ValueError, TypeError, AttributeError):
+                    stored = json.loads(path.read_bytes())
+                    known.append(cast(R, None if stored is None else _read_pair(stored)))
+                except (OSError, *_DAMAGE):
                     yield path, item  # not there, or damaged
 
         for path, result in mapper(partial(_call_beside, function), unknown()):
-            write_bytes(path, _encode(cast(PairwiseCalibration | None, result)))
+            write_bytes(path, json.dumps(_spell(cast(Any, result))).encode())
             yield result
         yield from known
 
@@ -210,13 +171,3 @@ def _call_beside(function: Callable[[T], R], named: tuple[Path, T]) -> tuple[Pat
     """Call the function of an item; return the item's path beside the result."""
     path, item = named
     return path, function(item)
-
-
-def _encode(pair: PairwiseCalibration | None) -> bytes:
-    return json.dumps(None if pair is None else pair_fields(pair)).encode()
-
-
-def _decode(content: bytes) -> PairwiseCalibration | None:
-    """Return what was encoded. Raises what `json.loads` and `pair_from_fields` raise on damage."""
-    stored = json.loads(content)
-    return None if stored is None else pair_from_fields(stored, "pair")
