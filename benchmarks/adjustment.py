@@ -1,28 +1,26 @@
 """Measure bundle adjustment alone: ours, COLMAP's and aniposelib's, from the same start.
 
-    .venv/bin/python benchmarks/adjustment.py SCRATCH [--cameras 8] [--frames 1000]
-        [--people 1] [--methods ours colmap colmap-all anipose]
+    .venv/bin/python benchmarks/adjustment.py SCRATCH [--frames 1000]
 
-One synthetic person, identities known, 2 px of noise, 5 % missing, 1 % gross errors; the cameras
-start 3 degrees and 3 % of the radius off, intrinsics fixed. SCRATCH: a folder for the environment
-of aniposelib. Ours is timed from detections to rig. `colmap` is Ceres through pycolmap (`ceres.py`)
-on the points of `ours`, `colmap-all` on all points. All but aniposelib adjust twice: the noise of a
-view is known only of a rig that is close.
+8 cameras, one synthetic person, identities known, 2 px of noise, 5 % missing, 1 % gross errors; the
+cameras start 3 degrees and 3 % of the radius off, intrinsics fixed. SCRATCH: a folder for the
+environment of aniposelib. Ours is timed from detections to rig. `colmap` is Ceres through pycolmap
+(`ceres.py`) on the same points. All but aniposelib adjust twice: the noise of a view is known only
+of a rig that is close.
 """
 
-import argparse
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from ceres import adjust_by_ceres
+from common import make_parser, print_header, print_row
 from peer_calls import call_peer, describe_rig
 
 from mocap_calib.adjust.refine import adjust_once
-from mocap_calib.config import AdjustConfig, Config
+from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
@@ -33,47 +31,33 @@ from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.synthetic.scene import simulate
 from mocap_calib.types import CameraRig, Floats, Sample
 
-Adjuster = Callable[..., CameraRig]
 Found = tuple[CameraRig, float, float]  # with seconds, and those of the processor
 
-ALL_POINTS = AdjustConfig(points=100_000, low_confidence_share=0.0)
-OURS: dict[str, tuple[Adjuster, AdjustConfig]] = {
-    "ours": (adjust_once, AdjustConfig()),
-    "colmap": (adjust_by_ceres, AdjustConfig()),
-    "colmap-all": (adjust_by_ceres, ALL_POINTS),
-}
-METHODS = (*OURS, "anipose")
+HERE = {"ours": adjust_once, "colmap": adjust_by_ceres}
 
 
 def main() -> None:
     """Print one row a method as Markdown."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__)
     parser.add_argument("scratch", type=Path)
-    parser.add_argument("--cameras", type=int, default=8)
     parser.add_argument("--frames", type=int, default=1000)
-    parser.add_argument("--people", type=int, default=1)
-    parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=METHODS)
     options = parser.parse_args()
-    true, sample, matches = make_scene(options.cameras, options.frames, options.people)
-    start = move(true)
+    true, sample, matches = make_scene(options.frames)
+    given = (sample, move(true), matches)
     columns = ("method", "seconds", "processor (s)")
-    columns += ("E_R median / max (deg)", "E_t median / max (deg)")
-    print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
-    print(f"| start | | | {figures(start, true)} |")
-    for method in options.methods:
-        if method in OURS:
-            found = adjust_here(method, sample, start, matches)
+    print_header((*columns, "E_R median / max (deg)", "E_t median / max (deg)"))
+    print_row(("start", "", "", figures(given[1], true)))
+    for method in (*HERE, "anipose"):
+        if method in HERE:
+            rig, wall, processor = adjust_here(method, *given)
         else:
-            found = adjust_elsewhere("adjust", options.scratch, sample, start, matches)
-        rig, wall, processor = found
-        print(f"| {method} | {wall:.2f} | {processor:.2f} | {figures(rig, true)} |", flush=True)
+            rig, wall, processor = adjust_elsewhere("adjust", options.scratch, *given)
+        print_row((method, f"{wall:.2f}", f"{processor:.2f}", figures(rig, true)))
 
 
-def make_scene(cameras: int, frames: int, people: int) -> tuple[CameraRig, Sample, Matches]:
+def make_scene(frames: int) -> tuple[CameraRig, Sample, Matches]:
     """Return the true rig, the detections, and the true matches."""
-    size = {"cameras": cameras, "frames": frames, "people": people}
+    size = {"cameras": 8, "frames": frames, "people": 1}
     made = simulate(SimulateConfig(**size, false_detections=0.0))
     recording = make_recording(made.files, made.rig.cameras, load_skeleton("people"), {})
     return made.rig, take_sample(recording, slice(None)), Matches(made.identity.astype(np.int64))
@@ -93,11 +77,9 @@ def move(rig: CameraRig) -> CameraRig:
 
 def adjust_here(method: str, sample: Sample, start: CameraRig, matches: Matches) -> Found:
     """Adjust twice in this process, the second time with the noise of a rig that is close."""
-    adjuster, settings = OURS[method]
-    config = Config(adjust=settings)
     wall, processor = time.perf_counter(), time.process_time()
-    rig = adjuster(sample, start, matches, config)
-    rig = adjuster(sample, rig, matches, config, already_close=True)
+    rig = HERE[method](sample, start, matches, Config())
+    rig = HERE[method](sample, rig, matches, Config(), already_close=True)
     return rig, time.perf_counter() - wall, time.process_time() - processor
 
 

@@ -1,299 +1,195 @@
-"""Measure whether rigs are as sure as they say they are, against known truth.
+"""Measure whether rigs are as certain as they state, against known truth.
 
     .venv/bin/python benchmarks/certainty.py simulated      # whether 95 % regions hold the truth
     .venv/bin/python benchmarks/certainty.py recordings     # errors against their sigmas
-    .venv/bin/python benchmarks/certainty.py degenerate     # verdicts on what determines no rig
 
-Every case goes through the whole pipeline, which sees keypoints and intrinsics alone. Errors are
-what is left after the best similarity. What is found of a case is a line of JSON in a file; cases
-that are in it are not run again, so what was cut off goes on. Exit status 1 where a figure is
-beyond its bound.
+Each case goes through the whole pipeline, which sees keypoints and intrinsics alone. Errors are
+those after the best similarity. A result is a line of JSON in a file; cases that are in it are
+skipped, so a stopped run continues. Exit status 1 where a figure is beyond its bound.
 """
 
-import argparse
 import json
 import sys
-import time
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from certainty_cases import KINDS, Case, degenerate_cases, recorded_case, simulated_cases
-from recording_folders import add_recordings
+from common import add_recordings, make_parser, print_header, print_row
 from recordings import NAMES
 from scipy.stats import chi2
 
-from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG
-from mocap_calib.errors import MocapCalibError
-from mocap_calib.geometry.rotation import angle_between, nearest_rotation, rig_change
-from mocap_calib.pipeline import calibrate
-from mocap_calib.results import VERDICTS, GroupResult
+import mocap_calib as mc
+from mocap_calib.config import EPOCH_MARK
+from mocap_calib.geometry.rotation import nearest_rotation, rig_change
 from mocap_calib.types import CameraRig, Floats
 
 Line = dict[str, Any]
 
 SIMULATED = 200
-DEGENERATE = 25  # of each kind
+ANIMALS = ("quadruped", "rodent", "bird")
+ANIMAL_SHARE = 0.25  # of the scenes; the others show people
+NOISE_PX = (1.0, 2.0, 4.0)
+LENGTHS = (60, 120)  # frames
 INSIDE = (0.90, 0.99)  # share of cameras whose 95 % region holds the truth
 RIG_SIZES = {"3": (3, 3), "4": (4, 4), "5 and more": (5, np.inf)}
 CHI2_95 = float(chi2.ppf(0.95, 3))
 RATIO = (0.4, 2.5)  # of the RMS error to the RMS sigma
-RATIO_FREE = ("mvor_openpose",)  # reference and people's joints are apart there
-RIGHT = 0.95  # share of the verdicts
-# error of the worst pair of cameras above which a verdict is wrong: three times what it promises,
-# and of a weak rig what nobody would still call a rig
-MOST_DEG = dict(zip(VERDICTS, (*(3 * limit for limit in VERDICT_LIMITS_DEG), np.inf), strict=True))
-GOOD_DEG = 1.0  # below it, a sound recording must not be called not determined
+RATIO_FREE = ("mvor_openpose",)  # its reference and keypoints disagree
+HEADER = ("recording", "verdict", "rotation (deg)", "sigma", "ratio")
+HEADER += ("centre (% of the rig)", "sigma", "ratio", "worst camera")
 
 
 def main() -> None:
-    """Run what is not there yet, print the table, and exit with 1 where it is beyond a bound."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("what", choices=["simulated", "recordings", "degenerate"])
-    parser.add_argument("--cases", type=int, help="simulated scenes, or cases of each kind")
+    """Run what is missing, print the table, and exit with 1 where it is beyond a bound."""
+    parser = make_parser(__doc__)
+    parser.add_argument("what", choices=["simulated", "recordings"])
+    parser.add_argument("--cases", type=int, default=SIMULATED, help="simulated scenes")
     add_recordings(parser, needed=False)
     parser.add_argument("--results", type=Path, help="lines of JSON; default: out/certainty/")
     given = parser.parse_args()
-    if given.what == "recordings" and given.recordings is None:
+    simulated = given.what == "simulated"
+    if not simulated and given.recordings is None:
         parser.error("expected --recordings FOLDER, found none")
-    cases = {
-        "simulated": lambda: simulated_cases(given.cases or SIMULATED),
-        "recordings": lambda: (recorded_case(given.recordings / name) for name in NAMES),
-        "degenerate": lambda: degenerate_cases(given.cases or DEGENERATE),
-    }[given.what]()
-    tables = {"simulated": table_of_regions, "recordings": table_of_ratios}
-    results = given.results or Path("out/certainty") / f"{given.what}.jsonl"
-    lines = list(run_all(cases, results))
-    good = tables.get(given.what, table_of_verdicts)(lines)
-    sys.exit(0 if good else 1)
-
-
-# Running
-
-
-def run_all(cases: Iterable[Case], results: Path) -> Iterator[Line]:
-    """Yield what is found of each case, and keep it in a file."""
-    results.parent.mkdir(parents=True, exist_ok=True)
-    known = {}
-    if results.is_file():
-        known = {line["case"]: line for line in map(json.loads, results.read_text().splitlines())}
-    for case in cases:
-        line = known.get(case.name)
-        if line is None:
-            line = run(case)
-            with results.open("a") as file:
-                file.write(json.dumps(line) + "\n")
-        yield line
-
-
-def run(case: Case) -> Line:
-    """Calibrate one case, and hold what was found against the truth."""
-    start, files = time.perf_counter(), case.make()
-    line: Line = {"case": case.name, "kind": case.kind, "refused": "", "groups": []}
-    try:
-        result = calibrate(files.record())
-    except MocapCalibError as error:
-        line["refused"] = str(error)
+    if simulated:
+        cases = {f"simulated-{k}": partial(simulate, k) for k in range(given.cases)}
     else:
-        line["groups"] = [judge_group(group, files.truth) for group in result.groups]
-        line["left_out"] = list(result.left_out)
-        line["faults"] = [[fault.camera, fault.word] for fault in result.faults]
-    return line | {"seconds": round(time.perf_counter() - start, 1)}
+        cases = {name: partial(read, Path(given.recordings) / name) for name in NAMES}
+    lines = list(run_all(cases, given.results or Path("out/certainty") / f"{given.what}.jsonl"))
+    sys.exit(0 if (table_of_regions if simulated else table_of_ratios)(lines) else 1)
 
 
-# Errors and sigmas of one group
+def run_all(cases: dict[str, Any], results: Path) -> Iterator[Line]:
+    """Yield the result of each case, and keep it in a file."""
+    results.parent.mkdir(parents=True, exist_ok=True)
+    kept = results.read_text().splitlines() if results.is_file() else []
+    known = {line["case"]: line for line in map(json.loads, kept)}
+    for name, make in cases.items():
+        if name not in known:
+            recording, truth = make()
+            known[name] = {"case": name, "groups": []}
+            try:
+                groups = mc.calibrate(recording).groups
+                known[name]["groups"] = [judge_group(group, truth) for group in groups]
+            except mc.MocapCalibError as error:
+                known[name]["refused"] = str(error)
+            with results.open("a") as file:
+                file.write(json.dumps(known[name]) + "\n")
+        yield known[name]
 
 
-def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any]:
+def simulate(number: int) -> tuple[mc.Recording, CameraRig]:
+    """Return a recording of any number of cameras and subjects, any kind, noise and length."""
+    rng = np.random.default_rng([number, 9])
+    count = int(rng.integers(1, 4, endpoint=True))
+    kind = str(rng.choice(ANIMALS)) if rng.random() < ANIMAL_SHARE else ""
+    scene = mc.simulate(
+        mc.SimulateConfig(
+            cameras=int(rng.integers(3, 8, endpoint=True)),
+            people=0 if kind else count,
+            animals=((kind, count),) if kind else (),
+            noise_px=float(rng.choice(NOISE_PX)),
+            seed=int(rng.integers(10**6)),
+            frames=int(rng.choice(LENGTHS)),
+        )
+    )
+    return mc.Recording.from_keypoints(scene.files, scene.rig.cameras), scene.rig
+
+
+def read(folder: Path) -> tuple[mc.Recording, CameraRig]:
+    """Return a recording with its intrinsics, and its reference calibration."""
+    recording = mc.read_recording(folder / "keypoints", folder / "intrinsics.toml")
+    return recording, mc.read_rig(folder / "reference.toml")
+
+
+# --- errors and sigmas of one group
+
+
+def judge_group(group: mc.GroupResult, truth: CameraRig) -> Line:
     """Return the verdict on a group, and errors and sigmas of its cameras.
 
-    truth: rigs of cameras that belong together. Where the group has cameras of several of them, no
-    errors are given (`true` is false).
     Angles are in degrees, lengths in percent of the size of the rig; `*_distance` are the squared
-    Mahalanobis distances of the errors of a camera (3 degrees of freedom). `pair_deg` is the
-    largest angle between relative rotations of two cameras and the true ones.
+    Mahalanobis distances of the errors of a camera (3 degrees of freedom).
     """
     covariance = group.uncertainty.covariance
-    found: dict[str, Any] = {
+    where = [truth.names.index(name.partition(EPOCH_MARK)[0]) for name in group.rig.names]
+    placed = {"rotation": truth.rotation[where], "translation": truth.translation[where]}
+    error = rig_error(group.rig, replace(group.rig, **placed))
+    turn, shift = slice(0, 3), slice(3, 6)
+    return {
         "cameras": list(group.rig.names),
         "verdict": group.verdict,
-        "failed": [check.name for check in group.assessment.checks if not check.passed],
-        "reasons": list(map(str, group.reasons)),
-        "rotation_sigma_deg": np.degrees(covariance.rotation_sigma).tolist(),
+        "rotation_sigma": np.degrees(covariance.rotation_sigma).tolist(),
         "centre_sigma": (100 * covariance.centre_sigma).tolist(),
-        "true": False,
-    }
-    true = find_truth(group.rig, truth)
-    if true is None:
-        return found
-    error, turn, shift = rig_error(group.rig, true), slice(0, 3), slice(3, 6)
-    return found | {
-        "true": True,
-        "pair_deg": worst_pair_deg(group.rig, true),
-        "rotation_deg": np.degrees(norms(error[:, turn])).tolist(),
+        "rotation": np.degrees(np.linalg.norm(error[:, turn], axis=1)).tolist(),
         "rotation_distance": mahalanobis(error[:, turn], covariance.matrix[:, turn, :, turn]),
-        "centre": (100 * norms(error[:, shift])).tolist(),
+        "centre": (100 * np.linalg.norm(error[:, shift], axis=1)).tolist(),
         "centre_distance": mahalanobis(error[:, shift], covariance.matrix[:, shift, :, shift]),
     }
-
-
-def find_truth(rig: CameraRig, truth: Sequence[CameraRig]) -> CameraRig | None:
-    """Return where the cameras of a rig truly stand; None where they are of several rigs."""
-    names = [name.partition(EPOCH_MARK)[0] for name in rig.names]
-    for each in truth:
-        if set(names) <= set(each.names):
-            where = [each.names.index(name) for name in names]
-            placed = {"rotation": each.rotation[where], "translation": each.translation[where]}
-            return replace(rig, **placed)
-    return None
 
 
 def rig_error(rig: CameraRig, true: CameraRig) -> Floats:
     """Return by how much cameras must be turned and shifted to be right, `[view, 6]`.
 
-    As `rig_change` says. The rigs are first aligned by all of their rotations, which is good where
-    the centres are on a line too.
+    As `rig_change` defines it. The rigs are first aligned by all of their rotations, which also
+    works where the centres are on a line.
     """
     turn = nearest_rotation(np.einsum("vji,vjk->ik", rig.rotation, true.rotation))
     return rig_change(rig, replace(true, rotation=true.rotation @ turn.T))
 
 
-def worst_pair_deg(rig: CameraRig, true: CameraRig) -> float:
-    """Return the largest angle between relative rotations of two cameras and the true ones."""
-    angles = (
-        angle_between(rig.relative(a, b)[0], true.relative(a, b)[0])
-        for a, b in combinations(range(len(rig.cameras)), 2)
-    )
-    return float(np.degrees(max(angles)))
-
-
 def mahalanobis(error: Floats, covariance: Floats) -> list[float]:
-    """Return e' C^-1 e of the error `[view, 3]` of each camera.
-
-    covariance: `[view, 3, view, 3]`.
-    """
+    """Return e' C^-1 e of errors `[view, 3]`; covariance: `[view, 3, view, 3]`."""
     inverse = np.linalg.pinv(np.einsum("vivj->vij", covariance), hermitian=True)
     return np.einsum("vi,vij,vj->v", error, inverse, error).tolist()
 
 
-def norms(vectors: Floats) -> Floats:
-    """Return the lengths of vectors `[view, 3]`."""
-    return np.linalg.norm(vectors, axis=1)
-
-
-# Tables: each prints itself, and returns whether its figures are within their bounds
+# --- tables: each prints itself, and returns whether its figures are within their bounds
 
 
 def table_of_regions(lines: Sequence[Line]) -> bool:
     """Print the share of cameras whose 95 % region holds the truth, by the size of the rig."""
-    groups = [group for line in lines for group in line["groups"] if group["true"]]
-    print("| cameras | rigs | rotation inside | centre inside | rotation, also not determined |")
-    print("|---|---|---|---|---|")
+    groups = [group for line in lines for group in line["groups"]]
+    columns = ("cameras", "rigs", "rotation inside", "centre inside")
+    print_header((*columns, "rotation, also not determined"))
     good = True
     for name, (least, most) in RIG_SIZES.items():
         sized = [group for group in groups if least <= len(group["cameras"]) <= most]
         kept = [group for group in sized if group["verdict"] != "not determined"]
         shares = [inside(kept, "rotation"), inside(kept, "centre"), inside(sized, "rotation")]
         good = good and all(INSIDE[0] <= share <= INSIDE[1] for share in shares[:2])
-        cells = [name, f"{len(kept)} of {len(sized)}", *(f"{share:.3f}" for share in shares)]
-        print(f"| {' | '.join(cells)} |")
-    refused = sum(bool(line["refused"]) for line in lines)
+        print_row([name, f"{len(kept)} of {len(sized)}", *(f"{share:.3f}" for share in shares)])
+    refused = sum("refused" in line for line in lines)
     print(f"\n{len(lines)} scenes, {refused} refused; bounds {INSIDE[0]} to {INSIDE[1]}")
     return good
 
 
-def inside(groups: Sequence[dict[str, Any]], what: str) -> float:
-    """Return the share of cameras whose error is within the 95 % region; what: which error."""
+def inside(groups: Sequence[Line], what: str) -> float:
+    """Return the share of cameras whose error (what: which one) is within the 95 % region."""
     distance = [each for group in groups for each in group[f"{what}_distance"]]
     return float((np.array(distance) <= CHI2_95).mean()) if distance else np.nan
 
 
 def table_of_ratios(lines: Sequence[Line]) -> bool:
     """Print the RMS errors of the first group of each recording beside their RMS sigmas."""
-    print(
-        "| recording | verdict | rotation (deg) | sigma | ratio | centre (% of the rig) | sigma "
-        "| ratio | worst camera |"
-    )
-    print("|---" * 9 + "|")
+    print_header(HEADER)
     good = True
     for line in lines:
         group = line["groups"][0]
         cells, ratios = [line["case"], group["verdict"]], []
-        for what, sigma in (("rotation_deg", "rotation_sigma_deg"), ("centre", "centre_sigma")):
-            error, stated = rms(group[what]), rms(group[sigma])
+        for what in ("rotation", "centre"):
+            error, stated = (
+                np.sqrt(np.mean(np.square(group[each]))) for each in (what, f"{what}_sigma")
+            )
             ratios.append(error / stated)
             cells += [f"{error:.3f}", f"{stated:.3f}", f"{ratios[-1]:.2f}"]
-        worst = np.max(np.array(group["rotation_deg"]) / group["rotation_sigma_deg"])
+        worst = np.max(np.array(group["rotation"]) / group["rotation_sigma"])
         within = all(RATIO[0] <= ratio <= RATIO[1] for ratio in ratios)
         good = good and (within or line["case"] in RATIO_FREE)
-        mark = "" if within else " **beyond**"
-        print(f"| {' | '.join(cells)} | {worst:.2f}{mark} |")
+        print_row([*cells, f"{worst:.2f}{'' if within else ' **beyond**'}"])
     return good
-
-
-def rms(values: Sequence[float]) -> float:
-    """Return the root of the mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def table_of_verdicts(lines: Sequence[Line]) -> bool:
-    """Print the verdicts on each kind of case, and how many are right."""
-    columns = ("kind", "cases", "refused", *VERDICTS, "right", "well determined above 3 deg")
-    print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
-    for kind in (*KINDS, "all"):
-        mine = [line for line in lines if kind in (line["kind"], "all")]
-        verdicts = Counter(verdict_of(line) for line in mine)
-        cells = [verdicts["refused"], *(verdicts[verdict] for verdict in VERDICTS)]
-        right, bad = sum(map(is_right, mine)), sum(map(is_confidently_wrong, mine))
-        print(f"| {kind} | {len(mine)} | {' | '.join(map(str, cells))} | {right} | {bad} |")
-    for line in lines:
-        if not is_right(line):
-            print(f"* {line['case']}: {verdict_of(line)}, {describe(line)}")
-    return right >= RIGHT * len(lines) and not bad
-
-
-def verdict_of(line: Line) -> str:
-    """Return the best verdict on a group of a case, or that it was refused."""
-    verdicts = [group["verdict"] for group in line["groups"]]
-    return min(verdicts, key=VERDICTS.index) if verdicts else "refused"
-
-
-def error_of(group: dict[str, Any]) -> float:
-    """Return the error in degrees that the verdict on a group must allow for."""
-    return float(group["pair_deg"]) if group["true"] else np.inf
-
-
-def is_right(line: Line) -> bool:
-    """Return whether no verdict promises too much, and a sound rig is not thrown away."""
-    for group in line["groups"]:
-        if error_of(group) > MOST_DEG[group["verdict"]]:
-            return False
-    if line["kind"] != "sound":
-        return True
-    found = verdict_of(line)
-    return found != "refused" and (
-        found != "not determined" or error_of(line["groups"][0]) >= GOOD_DEG
-    )
-
-
-def is_confidently_wrong(line: Line) -> bool:
-    """Return whether a rig is called well determined that is not."""
-    most = MOST_DEG["well determined"]
-    best = (group for group in line["groups"] if group["verdict"] == "well determined")
-    return any(error_of(group) > most for group in best)
-
-
-def describe(line: Line) -> str:
-    """Return the errors of the groups of a case, or why it was refused."""
-    return line["refused"] or ", ".join(
-        f"{group['verdict']} at {error_of(group):.2f} deg" for group in line["groups"]
-    )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import yaml
-from recording_folders import add_recordings
+from common import make_parser, print_header, print_row
 from recordings import NAMES
 
 TOLERANCE = 1e-6
@@ -31,17 +31,14 @@ PROGRAM = "from mocap_calib_cli.main import main; main()"
 
 def main() -> None:
     """Print one row a recording, as Markdown, and exit with 1 where something differs."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, recordings=True)
     parser.add_argument("before", type=Path)
     parser.add_argument("after", type=Path)
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    add_recordings(parser)
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "compared")
     given = parser.parse_args()
-    print("| recording | matches.csv | cameras.yaml | poses3d.h5 | verdict | before, after (s) |")
-    print("|---|---|---|---|---|---|")
+    files = ("matches.csv", "cameras.yaml", "poses3d.h5")
+    print_header(("recording", *files, "verdict", "before, after (s)"))
     alike = [compare(given.recordings / name, given) for name in given.names]
     sys.exit(0 if all(alike) else 1)
 
@@ -60,10 +57,7 @@ def compare(recording: Path, given: argparse.Namespace) -> bool:
     seconds = ", ".join((folder / "seconds").read_text() for folder in (before, after))
     matches = "equal" if same_labels else "DIFFERENT"
     verdict = " -> ".join(dict.fromkeys(verdict_of(folder) for folder in (before, after)))
-    print(
-        f"| {recording.name} | {matches} | {rig:.1e} | {poses:.1e} | {verdict} | {seconds} |",
-        flush=True,
-    )
+    print_row((recording.name, matches, f"{rig:.1e}", f"{poses:.1e}", verdict, seconds))
     return same_labels and max(rig, poses) <= TOLERANCE
 
 

@@ -1,12 +1,13 @@
 """Run the main job on real recordings, and print the README's table.
 
     .venv/bin/python benchmarks/recordings.py --recordings FOLDER [NAME ...]
+    .venv/bin/python benchmarks/recordings.py --unknown [NAME ...]   # that of docs/intrinsics.md
 
-Each run is a process of its own that sees the keypoints and the intrinsics alone. Errors are those
-of the reference, precision and recall those of the known identities, the verdict that of run.json.
+Each run is a process of its own that sees the keypoints and the intrinsics alone, with --unknown
+the image sizes alone. Errors are those of the reference, precision and recall those of the known
+identities, the verdict that of run.json.
 """
 
-import argparse
 import csv
 import json
 import subprocess
@@ -18,11 +19,10 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from recording_folders import add_recordings
+from common import TOOL, make_parser, print_header, print_row
 
 import mocap_calib as mc
 
-TOOL = Path(sys.executable).with_name("mocap-calib")
 NAMES = (
     *("h36m_S1_walking", "h36m_S1_mix", "h36m_S6_mix", "h36m_S5_multi3", "shelf"),
     *("pose2sim_single", "humaneva_S1_projected", "panoptic_band1_projected", "mvor_openpose"),
@@ -38,30 +38,32 @@ HEADER = (
 
 def main() -> None:
     """One row a recording, as Markdown on stdout."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, recordings=True)
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    add_recordings(parser)
+    parser.add_argument("--unknown", action="store_true", help="without intrinsics")
     options = parser.parse_args()
-    print(f"| {' | '.join(HEADER)} |")
-    print("|---" * len(HEADER) + "|")
+    print_header(HEADER)
     for name in options.names:
-        print(row(options.recordings / name), flush=True)
+        print_row(run(options.recordings / name, unknown=options.unknown))
 
 
-def row(recording: Path) -> str:
-    """Run and judge one recording."""
+def run(recording: Path, *, unknown: bool) -> list[str]:
+    """Run and judge one recording; return its row."""
+    given = ["--cameras", recording / "intrinsics.toml"]
+    if unknown:
+        cameras = mc.read_cameras(recording / "intrinsics.toml")
+        sizes = (f"{each.name}:{each.size[0]}x{each.size[1]}" for each in cameras)
+        given = [word for size in sizes for word in ("--image-size", size)]
     with tempfile.TemporaryDirectory() as work:
         out = Path(work) / "out"
-        command = (TOOL, "run", recording / "keypoints", "-o", out, "--seed", "0", "--quiet")
-        command += ("--cameras", recording / "intrinsics.toml", "--accept", "not-determined")
+        command = [sys.executable, "-P", *TOOL, "run", recording / "keypoints", *given]
+        command += ["-o", out, "--seed", "0", "--quiet", "--accept", "not-determined"]
         start = time.perf_counter()
         done = subprocess.run(command, check=False)
         wall = f"{time.perf_counter() - start:.1f}"
-        figures = ["-"] * 4 if done.returncode else judge(recording, out)
-        verdict = "refused" if done.returncode else read_verdict(out)
-    return f"| {' | '.join([recording.name, verdict, *figures, wall])} |"
+        if done.returncode:
+            return [recording.name, "refused", *["-"] * 4, wall]
+        return [recording.name, read_verdict(out), *judge(recording, out), wall]
 
 
 def judge(recording: Path, out: Path) -> list[str]:
@@ -79,7 +81,7 @@ def judge(recording: Path, out: Path) -> list[str]:
 
 
 def read_verdict(out: Path) -> str:
-    """Return what the run says of its rig, and what it cannot tell."""
+    """Return the verdict of a run on its rig, and what is not observable."""
     verdict = json.loads((out / "run.json").read_text("utf-8"))["verdict"]
     open_matters = [name for name in ("reversal", "translation") if verdict[name] == NOT_OBSERVABLE]
     return "; ".join([verdict["rig"], *(f"{name} {NOT_OBSERVABLE}" for name in open_matters)])

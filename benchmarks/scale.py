@@ -6,7 +6,6 @@ Every run is a process of its own, so that its peak memory is its own.
     .venv/bin/python benchmarks/scale.py long 100000 1000000 --cameras 4 --people 1
     .venv/bin/python benchmarks/scale.py ring      # 31 cameras (465 pairs), 3 people, 100 frames
     .venv/bin/python benchmarks/scale.py hall 64   # along the walls of a hall: each sees a part
-    .venv/bin/python benchmarks/scale.py stages    # seconds of each stage
 
 Synthetic people with 2 px of noise, 5 % missing and 1 % gross errors, seed 0. Of `long`, tracks
 have another order in each camera; of the others, detections come in random order and some are
@@ -20,19 +19,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from machines import measure
+from common import TOOL, make_parser, measure, print_header, print_row
 
 import mocap_calib as mc
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.synthetic.bodies import motion_times, move_person
 from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoint_files
 from mocap_calib.synthetic.scene import ring_rig
+from mocap_calib.synthetic.signals import turn_about
 from mocap_calib.synthetic.walking import plan_walks
 from mocap_calib.types import Bools, CameraRig, Floats, Keypoints2D
 
@@ -40,19 +38,20 @@ WIDTH, LENGTH_OF_CAMERA = 12.0, 0.36  # metres of a hall
 WALLS_APART, OPENING, RANGE = 12.0, 4.0, 9.0  # metres in it
 PART = 5000  # frames that are simulated; people then walk back and forth along them
 USUAL = {"ring": (31, 3, 100, 0), "hall": (64, 12, 100, 0)}  # cameras, people, frames, seed
-GRID = (
-    *((4, 3, 200), (8, 3, 200), (16, 3, 200), (4, 1, 200), (4, 6, 200)),
-    *((4, 3, 2000), (4, 3, 5000)),
+LONG_COLUMNS = (
+    *("frames", "calibration (s)", "matching all (s)", "triangulation (s)", "points"),
+    *("E_R median / max", "whole run (s)", "processor (s)", "peak memory (GB)"),
 )
-STAGES = ("lift", "pairwise", "match", "adjust", "match all", "verdict", "triangulate")
+SCENE_COLUMNS = (
+    *("cameras", "people", "frames", "seed", "pairs", "in the rig"),
+    *("all (s)", "processor (s)", "E_R median / max", "peak memory (GB)"),
+)
 
 
 def main() -> None:
     """Print a table as Markdown."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("what", choices=["long", *USUAL, "stages"])
+    parser = make_parser(__doc__)
+    parser.add_argument("what", choices=["long", *USUAL])
     numbers = "long: other numbers of frames; ring, hall: cameras, people, frames, seed"
     parser.add_argument("numbers", nargs="*", type=int, metavar="N", help=numbers)
     parser.add_argument("--cameras", type=int, default=8, help="of `long`")
@@ -65,41 +64,32 @@ def main() -> None:
     if options.child:
         print(json.dumps(calibrate_scene(options.what, *scene)))
     elif options.what == "long":
-        with tempfile.TemporaryDirectory(dir=options.scratch) as work:
-            lengths = options.numbers or [2000, 100_000]
-            print_long(Path(work), lengths, options.cameras, options.people)
-    elif options.what == "stages":
-        print_scenes("ring", [(*size, 0) for size in GRID])
+        print_header(LONG_COLUMNS)
+        for frames in options.numbers or [2000, 100_000]:
+            with tempfile.TemporaryDirectory(dir=options.scratch) as work:
+                print_row(run_long(Path(work), options.cameras, options.people, frames))
     else:
-        print_scenes(options.what, [scene])
-
-
-def print_header(columns: Sequence[str]) -> None:
-    """Print the header of a table."""
-    print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
+        print_header(SCENE_COLUMNS)
+        command = [sys.executable, __file__, options.what, *map(str, scene), "--child"]
+        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+        print_row([*scene, *json.loads(done.stdout)])
 
 
 # --- files to files
 
 
-def print_long(work: Path, lengths: Sequence[int], cameras: int, individuals: int) -> None:
-    """Measure the same rig and people for longer and longer."""
-    columns = ("frames", "calibration (s)", "matching all (s)", "triangulation (s)", "points")
-    columns += ("E_R median / max", "whole run (s)", "processor (s)", "peak memory (GB)")
-    print_header(columns)
-    for frames in lengths:
-        folder = work / str(frames)
-        truth = write_scene(folder, cameras, individuals, frames)
-        command = ("run", folder / "keypoints", "--cameras", folder / "reference.toml")
-        command += ("-o", folder / "out", "--quiet", "--accept", "not-determined")
-        wall, processor, megabytes = measure("-m", "mocap_calib_cli", *command)
-        report = json.loads((folder / "out" / "run.json").read_text("utf-8"))
-        error = rotation_errors(mc.read_rig(folder / "out" / "cameras.yaml"), truth)
-        later = [report["seconds"][stage] for stage in ("match all", "triangulate")]
-        spent = (sum(report["seconds"].values()) - sum(later), *later)
-        cells = [frames, *(f"{each:.1f}" for each in spent), report["points"]["triangulated"]]
-        cells += [error, f"{wall:.1f}", f"{processor:.1f}", f"{megabytes / 1000:.2f}"]
-        print(f"| {' | '.join(map(str, cells))} |", flush=True)
+def run_long(folder: Path, cameras: int, individuals: int, frames: int) -> list[object]:
+    """Run a recording of so many frames in a new folder; return its row."""
+    truth = write_scene(folder, cameras, individuals, frames)
+    command = ("run", folder / "keypoints", "--cameras", folder / "reference.toml")
+    command += ("-o", folder / "out", "--quiet", "--accept", "not-determined")
+    wall, processor, megabytes = measure(*TOOL, *command)
+    report = json.loads((folder / "out" / "run.json").read_text("utf-8"))
+    error = rotation_errors(mc.read_rig(folder / "out" / "cameras.yaml"), truth)
+    later = [report["seconds"][stage] for stage in ("match all", "triangulate")]
+    spent = (sum(report["seconds"].values()) - sum(later), *later)
+    cells = [frames, *(f"{each:.1f}" for each in spent), report["points"]["triangulated"]]
+    return [*cells, error, f"{wall:.1f}", f"{processor:.1f}", f"{megabytes / 1000:.2f}"]
 
 
 def write_scene(folder: Path, cameras: int, individuals: int, frames: int) -> CameraRig:
@@ -127,19 +117,9 @@ def write_scene(folder: Path, cameras: int, individuals: int, frames: int) -> Ca
 # --- in the library
 
 
-def print_scenes(scene: str, sizes: Sequence[tuple[int, ...]]) -> None:
-    """Print stage times of whole calibrations."""
-    columns = ("cameras", "people", "frames", "seed", "pairs", "in the rig", *STAGES)
-    print_header((*columns, "all (s)", "processor (s)", "E_R median / max", "peak memory (GB)"))
-    for size in sizes:
-        command = [sys.executable, __file__, scene, *map(str, size), "--child"]
-        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-        print(f"| {' | '.join(map(str, (*size, *json.loads(done.stdout))))} |", flush=True)
-
-
 def calibrate_scene(
     scene: str, cameras: int, individuals: int, frames: int, seed: int
-) -> list[Any]:
+) -> list[object]:
     """Calibrate one scene; return the cells of its row after its size."""
     if scene == "ring":
         size = {"cameras": cameras, "people": individuals, "frames": frames, "seed": seed}
@@ -154,7 +134,6 @@ def calibrate_scene(
     found = result.groups[0]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
     cells = [len(found.pairs) + len(result.unused_pairs), len(found.rig)]
-    cells += [f"{found.seconds[stage]:.2f}" for stage in STAGES]
     error = rotation_errors(found.rig, rig)
     return [*cells, f"{wall:.1f}", f"{processor:.1f}", error, f"{peak:.2f}"]
 
@@ -204,13 +183,7 @@ def hall_rig(
     centres = np.column_stack([level, 2.6 + rng.uniform(-0.4, 0.4, cameras)])
     inward = np.sign(-level) * (np.abs(np.abs(level) - np.array(room) / 2) < 1e-6)
     yaw = rng.uniform(-0.6, 0.6, cameras)
-    ahead = np.stack(
-        [
-            inward[:, 0] * np.cos(yaw) - inward[:, 1] * np.sin(yaw),
-            inward[:, 0] * np.sin(yaw) + inward[:, 1] * np.cos(yaw),
-        ],
-        1,
-    )
+    ahead = np.einsum("vij,vj->vi", turn_about(yaw)[:, :2, :2], inward)
     aims = np.column_stack([level + 5.0 * ahead, np.full(cameras, 0.9)])
     rotation = looking_along(aims - centres, np.array([0.0, 0.0, -1.0]))
     return CameraRig(made, rotation, -np.einsum("vij,vj->vi", rotation, centres), "m")

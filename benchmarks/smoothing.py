@@ -18,8 +18,8 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from common import TOOL, make_parser, print_header, print_row
 from peer_calls import call_peer, describe_rig
-from recording_folders import add_recordings
 
 import mocap_calib as mc
 from mocap_calib.compute.parallel import single_threaded_libraries
@@ -35,7 +35,6 @@ NAMES = (
     *("h36m_S1_walking", "h36m_S5_multi3", "shelf"),
     *("humaneva_S1_projected", "panoptic_band1_projected"),
 )
-TOOL = Path(sys.executable).with_name("mocap-calib")
 COLUMNS = (
     *("recording", "raw mm", "ours mm", "theirs mm", "ours jitter", "theirs", "truth's"),
     *("ours s", "theirs s", "times"),
@@ -44,28 +43,26 @@ COLUMNS = (
 
 def main() -> None:
     """Print one row a recording as Markdown."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, recordings=True)
     parser.add_argument("scratch", type=Path)
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    add_recordings(parser)
     parser.add_argument("--judge", type=Path, required=True)
     options = parser.parse_args()
-    print(f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|")
+    print_header(COLUMNS)
     for name in options.names:
         work = options.scratch / name
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir(parents=True)
-        print(row(options.recordings / name, work, options), flush=True)
+        print_row(row(options.recordings / name, work, options))
 
 
-def row(folder: Path, work: Path, options: argparse.Namespace) -> str:
+def row(folder: Path, work: Path, options: argparse.Namespace) -> list[str]:
     """Return the row of a recording."""
     raw = work / "raw"
     keypoints, intrinsics = folder / "keypoints", folder / "intrinsics.toml"
     asked = ("--cameras", intrinsics, "-o", raw, "--seed", "0", "--smooth", "off")
-    subprocess.run([TOOL, "run", keypoints, *asked], check=True, capture_output=True)
+    command = [sys.executable, "-P", *TOOL, "run", keypoints, *asked]
+    subprocess.run(command, check=True, capture_output=True)
     rig = mc.read_rig(raw / "calibration.toml")
     recording, _ = choose_model(mc.read_recording([keypoints], cameras=intrinsics), AUTO)
     matches = read_matches_csv(raw / "matches.csv", recording)
@@ -82,8 +79,7 @@ def row(folder: Path, work: Path, options: argparse.Namespace) -> str:
     figures = [judged[who]["mpjpe"] for who in ("raw", "ours", "theirs")]
     figures += [judged[who]["jitter"] for who in ("ours", "theirs")]
     figures += [judged["ours"]["jitter-truth"], our_seconds, float(theirs["processor"])]
-    cells = [folder.name, *(f"{x:.2f}" for x in figures), f"{figures[-1] / figures[-2]:.0f}"]
-    return f"| {' | '.join(cells)} |"
+    return [folder.name, *(f"{x:.2f}" for x in figures), f"{figures[-1] / figures[-2]:.0f}"]
 
 
 def smooth_here(recording: Recording, rig: CameraRig, matches: mc.Matches) -> tuple[Floats, float]:

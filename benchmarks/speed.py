@@ -24,16 +24,22 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 from adjustment import Found, adjust_elsewhere, adjust_here, figures, make_problem, make_scene, move
-from machines import Measured, describe_machine, measure
+from common import (
+    TOOL,
+    Measured,
+    describe_machine,
+    make_parser,
+    measure,
+    print_header,
+    print_row,
+)
 from peer_calls import call_peer
-from recording_folders import add_recordings
 
 import mocap_calib as mc
 from mocap_calib.geometry.lens import rays_from_pixels
 from mocap_calib.rig.triangulate import triangulate_pixels
 from mocap_calib.types import CameraRig, Floats
 
-TOOL = ("-m", "mocap_calib_cli")
 HERE = ("shelf", "h36m_S5_multi3")
 SIMULATED = {  # recording: cameras, people, frames
     "smallest: 4 cameras, 1 person, 100 frames": (4, 1, 100),
@@ -51,26 +57,23 @@ POINTS_OF_COLMAP = 2000  # one call for each: more would take minutes
 
 def main() -> None:
     """Print the tables as Markdown."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, recordings=True)
     parser.add_argument("scratch", type=Path)
     parser.add_argument("--quick", action="store_true", help="no others, no batch")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--batch", type=int, default=40, help="recordings of the batch")
-    add_recordings(parser)
     options = parser.parse_args()
     options.scratch.mkdir(parents=True, exist_ok=True)
     print(f"{describe_load()}; least of {options.runs} runs\n")
-    print(f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|")
-    print_row("import and start", repeat(options.runs, lambda: measure("-c", START)))
+    print_header(COLUMNS)
+    print_figures("import and start", repeat(options.runs, lambda: measure("-c", START)))
     stages = {}
     with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
         work = Path(folder)
         print_reading(work / "cam1.csv", options.runs)
         for name, recording in find_recordings(work, options.recordings).items():
             found, stages[name] = measure_recording(recording, work / "out", options.runs)
-            print_row(name, found)
+            print_figures(name, found)
         if not options.quick:
             print_batch(work, options.recordings / HERE[0], options.batch)
     print_arrays(options)
@@ -83,11 +86,12 @@ def describe_load() -> str:
     return f"{describe_machine()}, load {' '.join(f'{each:.1f}' for each in os.getloadavg())}"
 
 
-def print_row(name: str, found: Measured, others: str = "") -> None:
+def print_figures(name: str, found: Measured, others: str = "") -> None:
     """Print one row."""
     seconds, processor, memory = found
     shown = f"{memory:.0f}" if memory else ""
-    print(f"| {name} | {seconds:.2f} | {processor:.2f} | {shown} | {others} |", flush=True)
+    cells = (name, f"{seconds:.2f}", f"{processor:.2f}", shown, others)
+    print_row(cell.replace("|", ";") for cell in cells)
 
 
 def repeat(runs: int, work: Callable[[], Measured]) -> Measured:
@@ -111,7 +115,7 @@ def print_reading(path: Path, runs: int) -> None:
     }
     ours = spent.pop("mocap-calib")
     others = ", ".join(f"{name} {found[1] / ours[1]:.1f}" for name, found in spent.items())
-    print_row(f"reading a DeepLabCut .csv, {TABLE_FRAMES} x 4 animals", ours, others)
+    print_figures(f"reading a DeepLabCut .csv, {TABLE_FRAMES} x 4 animals", ours, others)
 
 
 def write_table(path: str) -> None:
@@ -171,16 +175,16 @@ def print_batch(work: Path, recording: Path, count: int) -> None:
     command = (*TOOL, "batch", *sessions, "--cameras", "intrinsics.toml", "-o", work / "batch")
     found = measure(*command, "--jobs", "2", "--quiet", "--accept", "not-determined")
     rate = f"{3600 * count / found[0]:.0f} an hour"
-    print_row(f"batch of {count} like {recording.name}, --jobs 2: {rate}", (*found[:2], 0.0))
+    print_figures(f"batch of {count} like {recording.name}, --jobs 2: {rate}", (*found[:2], 0.0))
 
 
 def print_stages(stages: dict[str, dict[str, float]]) -> None:
     """Print the seconds of each stage of each recording."""
     names = dict.fromkeys(stage for found in stages.values() for stage in found)
-    print(f"\n| stage (s) | {' | '.join(stages)} |\n{'|---' * (1 + len(stages))}|")
+    print()
+    print_header(("stage (s)", *stages))
     for name in names:
-        cells = (f"{found.get(name, 0.0):.2f}" for found in stages.values())
-        print(f"| {name} | {' | '.join(cells)} |")
+        print_row((name, *(f"{found.get(name, 0.0):.2f}" for found in stages.values())))
 
 
 # --- arrays to arrays
@@ -188,7 +192,7 @@ def print_stages(stages: dict[str, dict[str, float]]) -> None:
 
 def print_arrays(options: argparse.Namespace) -> None:
     """Measure adjustment and triangulation here, and by others."""
-    true, sample, matches = make_scene(8, 1000, 1)
+    true, sample, matches = make_scene(1000)
     given = (sample, move(true), matches)
     found = [adjust_here("ours", *given) for _ in range(options.runs)]
     seconds = min(each[1] for each in found)
@@ -203,12 +207,12 @@ def print_arrays(options: argparse.Namespace) -> None:
     )
     name = f"adjustment, 8 x 1,000; E_R, E_t (deg) {figures(found[0][0], true)}"
     ours = (seconds, min(each[2] for each in found), 0.0)
-    print_row(name.replace("|", ";"), ours, ", ".join(texts).replace("|", ";"))
+    print_figures(name, ours, ", ".join(texts))
     problem = make_problem(sample, true, matches)
     spent = repeat(options.runs, lambda: triangulate_here(true, problem["pixels"]))
     slower = {} if options.quick else triangulate_elsewhere(options.scratch, true, problem)
     name = f"triangulation of {problem['pixels'].shape[1]} points in 8 views"
-    print_row(name, spent, ", ".join(f"{who} {s / spent[0]:.2f}" for who, s in slower.items()))
+    print_figures(name, spent, ", ".join(f"{who} {s / spent[0]:.2f}" for who, s in slower.items()))
 
 
 def triangulate_here(rig: CameraRig, pixels: Floats) -> Measured:

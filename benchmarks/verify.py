@@ -8,14 +8,13 @@ length, with two cameras turned, and described in another world. A cell counts t
 the right cameras, and no others, are named.
 """
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from recording_folders import add_recordings
+from common import make_parser, print_header, print_row
 from recordings import NAMES
 
 import mocap_calib as mc
@@ -30,28 +29,24 @@ from mocap_calib.results import LiftedPoses
 from mocap_calib.types import CameraRig, Sample, silent
 from mocap_calib.verdict.verify import verify_rig
 
-TURNS_DEG = (1.0, 2.0, 5.0)
+TURNS_DEG = (1, 2, 5)
 AXES = 2  # random ones, for each camera
-SHIFTS = (0.03,)  # sizes of the rig
-ZOOMS = (1.1,)  # factors of the focal length
+SHIFT = 0.03  # sizes of the rig
+ZOOM = 1.1  # factor of the focal length
 KINDS = ("turn 1", "turn 2", "turn 5", "shift 3 %", "focal +10 %", "two turned 2", "other world")
 
 
 def main() -> None:
     """One row a recording, as Markdown on stdout."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, recordings=True)
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    add_recordings(parser)
     options = parser.parse_args()
-    print("| recording | verdict | named |", " | ".join(KINDS), "|")
-    print("|---" * (3 + len(KINDS)) + "|")
+    print_header(("recording", "verdict", "named", *KINDS))
     for name in options.names:
-        print(row(options.recordings / name), flush=True)
+        print_row(row(options.recordings / name))
 
 
-def row(folder: Path) -> str:
+def row(folder: Path) -> list[str]:
     """Judge the reference of a recording, and damaged ones."""
     sample, lifted, rig = read(folder)
     sound = verify_rig(sample, lifted, rig, Config(), progress=silent)
@@ -62,7 +57,7 @@ def row(folder: Path) -> str:
         counts[kind][1] += 1
     cells = [f"{right} of {trials}" if trials else "-" for right, trials in counts.values()]
     named = ", ".join(sound.named) or "none"
-    return f"| {' | '.join([folder.name, sound.verdict, named, *cells])} |"
+    return [folder.name, sound.verdict, named, *cells]
 
 
 def read(folder: Path) -> tuple[Sample, LiftedPoses, CameraRig]:
@@ -88,23 +83,16 @@ def damages(
     rig: CameraRig, rng: np.random.Generator
 ) -> Iterator[tuple[str, tuple[str, ...], CameraRig]]:
     """Yield kind, names of the cameras that are to be named, and the damaged rig."""
-    size = rig_size(rig)
     for view, name in enumerate(rig.names):
         for _ in range(AXES):
             axis = direction(rng)
             for degrees in TURNS_DEG:
-                yield f"turn {degrees:g}", (name,), move(rig, view, axis * np.deg2rad(degrees))
-        for share in SHIFTS:
-            shift = share * size * direction(rng)
-            yield f"shift {share * 100:g} %", (name,), move(rig, view, np.zeros(3), shift)
-        for factor in ZOOMS:
-            camera = change_intrinsics(rig.cameras[view], log_focal=np.log(factor), k1=0.0)
-            cameras = (*rig.cameras[:view], camera, *rig.cameras[view + 1 :])
-            yield (
-                f"focal {factor - 1:+.0%}".replace("%", " %"),
-                (name,),
-                replace(rig, cameras=cameras),
-            )
+                yield f"turn {degrees}", (name,), move(rig, view, axis * np.deg2rad(degrees))
+        shift = SHIFT * rig_size(rig) * direction(rng)
+        yield "shift 3 %", (name,), move(rig, view, np.zeros(3), shift)
+        camera = change_intrinsics(rig.cameras[view], log_focal=np.log(ZOOM), k1=0.0)
+        cameras = (*rig.cameras[:view], camera, *rig.cameras[view + 1 :])
+        yield "focal +10 %", (name,), replace(rig, cameras=cameras)
     if len(rig) >= 5:
         pairs = list(combinations(range(len(rig)), 2))
         for pair in rng.permutation(pairs)[:AXES].tolist():

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import torch
 
-from ..recording_folders import add_recordings
+from ..common import add_recordings, make_parser
 from .cells import QUICK, WHOLE, Cell, Data, Line, Sizes, measure, plan
 from .tables import all_tables, insert_tables
 
@@ -53,9 +53,7 @@ def main() -> None:
 
 def parse() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__)
     parser.add_argument("parts", nargs="*", metavar="PART", help="these cells alone")
     parser.add_argument("--poses", type=Path, help="folder of sets of 3D poses")
     add_recordings(parser, needed=False)

@@ -20,7 +20,7 @@ from mocap_calib.pipeline import calibrate
 from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, Sample, silent
 
-from ..machines import describe_machine, describe_moment
+from ..common import describe_machine, describe_moment
 from .judge import FAILED, Judged, judge, rig_errors
 from .methods import METHODS, Problem, load_models
 from .networks import displacements

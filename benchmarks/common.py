@@ -1,17 +1,63 @@
-"""On what machine a figure was measured, when, of which commit, and what a process took."""
+"""What benchmarks share: command lines, tables, and what a process takes on which machine."""
 
+import argparse
 import os
 import platform
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+TOOL = ("-m", "mocap_calib_cli")  # arguments of Python
+RECORDINGS = "MOCAP_CALIB_RECORDINGS"
 
 Measured = tuple[float, float, float]  # seconds, of the processor, megabytes
+
+
+def make_parser(text: str | None, *, recordings: bool = False) -> argparse.ArgumentParser:
+    """Return a parser whose help is a docstring; recordings: with their folder and names."""
+    parser = argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    if recordings:
+        add_recordings(parser)
+    return parser
+
+
+def add_recordings(parser: argparse.ArgumentParser, *, needed: bool = True) -> None:
+    """Add `--recordings`, the folder of all recordings; an environment variable may name it."""
+    parser.add_argument(
+        "--recordings",
+        type=_folder,
+        metavar="FOLDER",
+        default=os.environ.get(RECORDINGS),
+        required=needed and RECORDINGS not in os.environ,
+        help=f"folder with a folder for each recording (README.md) [default: ${RECORDINGS}]",
+    )
+
+
+def _folder(text: str) -> Path:
+    """Return the folder of that name. Raises argparse's error."""
+    if not Path(text).is_dir():
+        raise argparse.ArgumentTypeError(
+            f"expected a folder of recordings, found none at {text}; see benchmarks/README.md"
+        )
+    return Path(text)
+
+
+def print_row(cells: Iterable[object]) -> None:
+    """Print a row of a table in Markdown."""
+    print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def print_header(columns: Sequence[str]) -> None:
+    """Print the header of a table in Markdown."""
+    print_row(columns)
+    print("|---" * len(columns) + "|")
 
 
 @cache
