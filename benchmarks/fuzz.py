@@ -4,228 +4,123 @@
     .venv/bin/python benchmarks/fuzz.py LOG --again 1234   # one of them, with its traceback
 
 The law: a damaged file is read, or refused in one line; no traceback, no hang, no memory without
-bounds. File number N is always the same one: its kind, its damage and how it is read follow from
-N. LOG is a folder outside the repository; it keeps what was done and what was found, so that a run
-that was stopped goes on, and `--files 1000000` later goes on from there too. A file that ends its
-process, or hangs in it, is found by the process that watches.
+bounds. File number N is always the same: its kind and damage follow from N. LOG is a folder outside
+the repository; it keeps which files are done and what was found, so that a stopped run continues,
+and `--files 1000000` later continues from there too. Files are read in processes of their own: one
+that ends its process, or hangs, is found like any other.
 
 The exit status is 1 where a file broke the law.
 """
 
-import argparse
 import json
-import multiprocessing
-import os
 import random
-import resource
-import shutil
-import signal
 import sys
 import tempfile
 import time
 import traceback
 import warnings
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
-from types import FrameType
-from typing import TextIO
+from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), *(str(ROOT / place) for place in ("cli", "tests"))]
+from common import ROOT, make_parser
 
-from damaged_kinds import KINDS, try_damaged  # noqa: E402
-from damaged_kinds import make_results as fill_results  # noqa: E402
+sys.path[:0] = [str(ROOT), *(str(ROOT / place) for place in ("benchmarks", "cli", "tests"))]
 
-HANG = 60  # seconds by the clock, of all calls on one file
-ADDRESSES = 8 << 30  # bytes; kernels and threads take 2 to 3 GB of addresses, not of memory
+from damaged_kinds import KINDS, make_results, try_damaged  # noqa: E402
 
+from mocap_calib.compute.worker import Worker, WorkerEndedError  # noqa: E402
 
-class Hang(BaseException):
-    """A file took longer than any file may; no reader catches it."""
+Broken = dict[str, Any]
+
+CPU_SECONDS, MEMORY = 60, 4 << 30  # of all calls on one file
+BLOCK = 1000  # files after which the log notes how far it is
 
 
 def main() -> int:
     """Run or repeat; return the exit status."""
-    options = parse()
-    log: Path = options.log.resolve()
-    if log.is_relative_to(ROOT):
-        sys.exit(f"{log}: expected a folder outside the repository; choose another")
-    results = make_results(log)
-    if options.again is not None:
-        with Bench(results, options.only) as bench:
-            bench.try_file(options.again)
-        return 0
-    begun, processor = time.perf_counter(), sum(os.times()[:4])
-    done = watch(log, results, options)
-    print(summary(log, done, time.perf_counter() - begun, sum(os.times()[:4]) - processor))
-    return 1 if found_in(log) else 0
-
-
-def parse() -> argparse.Namespace:
-    """Return what was asked for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__)
     parser.add_argument("log", type=Path, metavar="LOG")
     parser.add_argument("--files", type=int, default=50_000)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", default="", help="kinds whose names have this in them")
     parser.add_argument("--again", type=int, metavar="N", help="try file N alone")
-    return parser.parse_args()
-
-
-def make_results(log: Path) -> Path:
-    """Return a folder that `run` wrote, with the file of `pairwise` beside; made once."""
-    out = log / "results"
-    if (out / "pairs.json").is_file():
-        return out
-    out.mkdir(parents=True, exist_ok=True)
-    return fill_results(out)
-
-
-# --- one file
-
-
-class Bench:
-    """A folder in which files are damaged, one at a time."""
-
-    def __init__(self, results: Path, only: str) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="fuzz"))
-        self.kinds = {name: make(results) for name, make in KINDS.items() if only in name}
-
-    def __enter__(self) -> "Bench":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-    def kind_of(self, number: int) -> str:
-        """Return the kind of a file."""
-        return list(self.kinds)[number % len(self.kinds)]
-
-    def try_file(self, number: int) -> None:
-        """Raise what a reader raises of a file that is no complaint."""
-        name = self.kind_of(number)
-        try_damaged(self.kinds[name], self.folder / name, random.Random(number))
-
-
-# --- many files
-
-
-def work(log: Path, results: Path, options: argparse.Namespace, job: int) -> None:
-    """Try the files of a job from where it was stopped: job, job + jobs, job + 2 jobs, ..."""
-    resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    signal.signal(signal.SIGALRM, _hang)
-    warnings.simplefilter("error")
-    with Bench(results, options.only) as bench, _begun(log, job).open("r+") as begun:
-        for number in range(_next(log, job), options.files, options.jobs):
-            _note(begun, number)
-            signal.alarm(HANG)
-            try:
-                bench.try_file(number)
-            except (Exception, Hang) as error:
-                signal.alarm(0)
-                text = "".join(traceback.format_exception(error)[-6:])
-                report(log, number, bench.kind_of(number), text)
-            signal.alarm(0)
-        _note(begun, options.files + options.jobs)
-
-
-def _hang(_: int, __: FrameType | None) -> None:
-    raise Hang(f"more than {HANG} s")
-
-
-def watch(log: Path, results: Path, options: argparse.Namespace) -> int:
-    """Run the jobs, each anew after the file that ended it; return how many files were tried."""
-    plan = {"jobs": options.jobs, "only": options.only}
-    _check_plan(log, plan)
-    starts = [_next(log, job) for job in range(options.jobs)]
-    context = multiprocessing.get_context("spawn")
-    running = {job: _start(context, log, results, options, job) for job in range(options.jobs)}
-    while running:
-        time.sleep(0.2)
-        for job, process in list(running.items()):
-            stuck = time.time() - _begun(log, job).stat().st_mtime > 3 * HANG
-            if process.is_alive() and not stuck:
-                continue
-            process.kill()
-            process.join()
-            del running[job]
-            number = _next(log, job)
-            if number < options.files:
-                report(log, number, "", f"ended its process ({process.exitcode})")
-                _begun(log, job).write_text(f"{number + options.jobs:12d}")
-                running[job] = _start(context, log, results, options, job)
-    ends = [min(_next(log, job), options.files) for job in range(options.jobs)]
-    return sum(max(b - a, 0) // options.jobs for a, b in zip(starts, ends, strict=True))
-
-
-def _start(
-    context: multiprocessing.context.SpawnContext,
-    log: Path,
-    results: Path,
-    options: argparse.Namespace,
-    job: int,
-) -> multiprocessing.process.BaseProcess:
-    _begun(log, job).touch()
-    process = context.Process(target=work, args=(log, results, options, job))
-    process.start()
-    return process
-
-
-def _check_plan(log: Path, plan: dict[str, object]) -> None:
-    """End where a log is of other jobs or kinds, whose numbers mean other files."""
-    path = log / "plan.json"
-    if not path.is_file():
-        path.write_text(json.dumps(plan))
-    if json.loads(path.read_text()) != plan:
-        sys.exit(f"{log}: expected a log of {plan}, found {path.read_text()}; choose another LOG")
-
-
-def _begun(log: Path, job: int) -> Path:
-    return log / f"job_{job}"
-
-
-def _next(log: Path, job: int) -> int:
-    """Return the first file of a job that is not done."""
-    path = _begun(log, job)
-    return int(path.read_text() or job) if path.is_file() else job
-
-
-def _note(begun: TextIO, number: int) -> None:
-    begun.seek(0)
-    begun.write(f"{number:12d}")
-    begun.flush()
-
-
-def report(log: Path, number: int, kind: str, text: str) -> None:
-    """Add a file that broke the law to what was found."""
-    with (log / "found.jsonl").open("a") as file:
-        file.write(json.dumps({"file": number, "kind": kind, "text": text}) + "\n")
-
-
-def found_in(log: Path) -> list[dict[str, str]]:
-    """Return what was found, each file once."""
-    path = log / "found.jsonl"
-    lines = path.read_text().splitlines() if path.is_file() else []
-    return list({each["file"]: each for each in map(json.loads, lines)}.values())
-
-
-def summary(log: Path, done: int, seconds: float, processor: float) -> str:
-    """Return how many files, how fast, and what was found, by what it says last."""
-    found = found_in(log)
-    kinds = Counter((each["kind"], each["text"].strip().splitlines()[-1][:150]) for each in found)
-    first = {(e["kind"], e["text"].strip().splitlines()[-1][:150]): e["file"] for e in found[::-1]}
-    rate = done / max(seconds, 1e-9)
-    lines = [
-        f"{done} files in {seconds:.0f} s ({processor:.0f} s of processors): {rate:.0f} files/s; "
-        f"a million take {1e6 / max(rate, 1e-9) / 3600:.1f} h; {len(found)} broke the law"
-    ]
+    options = parser.parse_args()
+    log: Path = options.log.resolve()
+    if log.is_relative_to(ROOT):
+        sys.exit(f"{log}: expected a folder outside the repository; choose another")
+    results = log / "results"
+    if not (results / "pairs.json").is_file():
+        results.mkdir(parents=True, exist_ok=True)
+        make_results(results)
+    if options.again is not None:
+        kind, text = try_file(results, options.only, options.again)
+        print(kind, text, sep="\n")
+        return int(bool(text))
+    # of other kinds, the same numbers are other files
+    done, found = (log / f"{name}{options.only}" for name in ("done", "found"))
+    found.touch()
+    first = int(done.read_text()) if done.is_file() else 0
+    start, workers = time.perf_counter(), [Worker() for _ in range(options.jobs)]
+    for begin in range(first, options.files, BLOCK):
+        numbers = range(begin, min(begin + BLOCK, options.files))
+        lines = [json.dumps(each) for each in try_block(workers, results, options.only, numbers)]
+        with found.open("a") as file:
+            file.writelines(f"{line}\n" for line in lines)
+        done.write_text(str(numbers.stop))
+    count = max(options.files - first, 0)
+    broke = [json.loads(line) for line in found.read_text().splitlines()]
+    rate = count / (time.perf_counter() - start)
+    print(f"{count} files, {rate:.0f} a second; {len(broke)} of all broke the law")
+    kinds = Counter((each["kind"], each["text"].splitlines()[-1][:150]) for each in broke)
     for (kind, text), count in kinds.most_common():
-        lines.append(f"{count:6d} x {kind}: {text} (first: --again {first[kind, text]})")
-    return "\n".join(lines)
+        number = next(each["file"] for each in broke if text in each["text"])
+        print(f"{count:6d} x {kind}: {text} (first: --again {number})")
+    return int(bool(broke))
+
+
+def try_block(workers: list[Worker], results: Path, only: str, numbers: range) -> list[Broken]:
+    """Return the files that broke the law."""
+
+    def work(job: int) -> list[Broken]:
+        broke: list[Broken] = []
+        for number in numbers[job :: len(workers)]:
+            kind, arguments = "", (results, only, number)
+            try:
+                kind, text = workers[job].call(
+                    try_file, *arguments, cpu_seconds=CPU_SECONDS, memory_bytes=MEMORY
+                )
+            except WorkerEndedError as error:
+                text = f"ended its process ({error})"
+            if text:
+                broke.append({"file": number, "kind": kind, "text": text})
+        return broke
+
+    with ThreadPoolExecutor(len(workers)) as pool:
+        return [each for some in pool.map(work, range(len(workers))) for each in some]
+
+
+def try_file(results: Path, only: str, number: int) -> tuple[str, str]:
+    """Return the kind of a damaged file, and the end of the traceback where it broke the law."""
+    kinds = _kinds(results, only)
+    name = list(kinds)[number % len(kinds)]
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            try_damaged(kinds[name], Path(folder), random.Random(number))
+        except Exception as error:
+            return name, "".join(traceback.format_exception(error)[-6:]).strip()
+    return name, ""
+
+
+@cache
+def _kinds(results: Path, only: str) -> dict[str, object]:
+    return {name: make(results) for name, make in KINDS.items() if only in name}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    from fuzz import main as run  # functions that processes find by the name of the module
+
+    sys.exit(run())
