@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conformance import CORPUS, KEYPOINTS, TARGETS
 from corruption import damaged
-from golden.cases import CORPUS, OPTIONS, TARGETS, written
+from golden.cases import written
 from golden.command import call
 
 import mocap_calib as mc
@@ -93,11 +94,7 @@ def command(*words: object, folder: Path) -> str:
 
 def _corpus(kind: str, name: str, _: Path) -> Kind:
     files = written(CORPUS / kind / name)
-    given = OPTIONS.get(f"{kind}/{name}", ())
-    words = dict(zip(given[::2], given[1::2], strict=True))
-    layout = tuple(filter(None, words.get("--layout", "").split(",")))
-    size = (640, 480) if "--image-size" in words else (0, 0)
-    options = mc.ReadOptions(layout=layout, image_size=size)
+    options = mc.ReadOptions(**(KEYPOINTS[name].options if kind == "keypoints" else {}))
 
     def keypoints(folder: Path) -> None:
         for view in mc.read_keypoints(sorted(folder.iterdir()), None, options):

@@ -11,51 +11,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from conformance import CORPUS, KEYPOINTS, TARGETS
 from golden.command import Outcome, call
 from golden.damage import DAMAGES
 from golden.digests import canonical, digest
 
 HERE = Path(__file__).parent
-CORPUS, EXPECTED, MESSAGES = HERE / "corpus", HERE / "expected.json", HERE / "messages.txt"
-# what is written of each kind; the first can hold what all others can, and shows what was read
-TARGETS = {
-    "keypoints": (
-        "csv",
-        "coco",
-        "deeplabcut-csv",
-        "deeplabcut-h5",
-        "movement",
-        "openpose",
-        "sleap",
-    ),
-    "cameras": (
-        *("mocap-calib", "4d-association", "anipose", "caliscope", "colmap", "colmap-binary"),
-        *("dannce", "easymocap", "freemocap", "jarvis", "multiview-calib", "nerfstudio"),
-        *("opencv", "openmvg", "panoptic", "pose2sim", "voxelpose"),
-    ),
-    "poses": (
-        *("npz", "anipose-csv", "blender", "bvh", "c3d", "movement-3d", "poses-h5"),
-        *("sleap-anipose", "trc"),
-    ),
-}
+EXPECTED, MESSAGES = HERE / "expected.json", HERE / "messages.txt"
 APART = 3  # files of a folder that have a digest each
 # rigs that are converted to all formats; of the others it is enough that they are read
 RIGS = {"anipose", "anipose-fisheye", "plain", "colmap"}
-LAYOUT = ("--layout", "nose,left_ear,tail")
+TIMED = ("--input-unit", "m", "--fps", "60")
 # what has to be said of files that do not say it themselves
 OPTIONS = {
-    "keypoints/alphapose": LAYOUT,
-    "keypoints/caliscope": LAYOUT,
-    "keypoints/coco-results": LAYOUT,
-    "keypoints/label3d": LAYOUT,
-    "keypoints/mmpose-images": LAYOUT,
-    "keypoints/openpose": LAYOUT,
-    "keypoints/superanimal": LAYOUT,
-    "keypoints/ultralytics": (*LAYOUT, "--image-size", "640x480"),
     "cameras/colmap-binary": ("--input-unit", "m"),
-    "poses/anipose-csv": ("--input-unit", "m", "--fps", "60"),
-    "poses/sleap-anipose": ("--input-unit", "m", "--fps", "60"),
+    "poses/anipose-csv": TIMED,
+    "poses/sleap-anipose": TIMED,
 }
+
+
+def options(entry: str) -> tuple[str, ...]:
+    """Return the words of the command that say what the files of an entry do not."""
+    kind, name = entry.split("/")
+    said = KEYPOINTS[name].options if kind == "keypoints" else {}
+    layout = ("--layout", ",".join(said["layout"])) if "layout" in said else ()
+    size = ("--image-size", "{}x{}".format(*said["image_size"])) if "image_size" in said else ()
+    return OPTIONS.get(entry, (*layout, *size))
 
 
 @dataclass(frozen=True)
@@ -89,11 +70,9 @@ class Conversion:
     def run(self, folder: Path) -> Outcome:
         """Convert the entry into `folder/out`."""
         path = self.lay_out(folder)
-        options = OPTIONS.get(self.entry, ())
         (folder / "out").mkdir()
-        return call(
-            "convert", path, f"out/{self.target}", "--to", self.target, *options, folder=folder
-        )
+        words = ("--to", self.target, *options(self.entry))
+        return call("convert", path, f"out/{self.target}", *words, folder=folder)
 
     def outcome(self, folder: Path) -> dict[str, Any]:
         """Return status, lines of stderr, and the digests of the files that were written."""

@@ -9,7 +9,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from golden.cases import CORPUS
+from conformance import CORPUS
 from golden.command import call
 
 RUN = ("run", "scene/keypoints", "--cameras", "scene/intrinsics.toml", "-o", "new")

@@ -12,9 +12,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from conformance import CORPUS, TARGETS
 from golden.cases import (
-    CORPUS,
-    TARGETS,
     Conversion,
     as_block,
     conversions,

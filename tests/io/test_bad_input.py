@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from conformance import SIZE
 from golden.command import call
-from keypoint_files import coco_bytes, dlc_csv
 from platforms import linux
-from samples2d import SIZE
 
 import mocap_calib as mc
 
@@ -39,9 +38,16 @@ def write_coco(
         points = rng.uniform(5, 400, (len(frames), 1, len(names), 2))
         given = scores[name] if isinstance(scores, dict) else scores
         confidence = np.full(points.shape[:3], given) * (1 + np.arange(len(names))) / len(names)
-        content = coco_bytes(frames, names, points, confidence, SIZE)
-        (folder / f"{name}.json").write_bytes(content)
+        mc.write(view(name, points, confidence, frames, names), folder / "new", "coco")
+        (folder / "new" / f"{name}.json").replace(folder / f"{name}.json")
+        (folder / "new").rmdir()
     return folder
+
+
+def view(name: str, points: Any, confidence: Any, frames=None, names=NAMES) -> mc.Keypoints2D:
+    frames = np.arange(len(points)) if frames is None else np.array(frames)
+    points = np.where(confidence[..., None] > 0, points, np.nan)
+    return mc.Keypoints2D(name, names, frames, points, confidence, True, SIZE, "made")
 
 
 def names_of_two(folder: Path, first: Any, second: Any) -> None:
@@ -159,7 +165,8 @@ def test_inspect_finds_what_would_go_wrong(tmp_path, name):
 def test_a_missing_point_is_counted_however_it_is_written(tmp_path):
     """And a gap, by the numbers of the frames."""
     frames, points = (0, 1, 5, 6, 20), np.full((5, 1, 4, 2), 50.0)
-    data = json.loads(coco_bytes(frames, NAMES, points, np.full((5, 1, 4), 0.7), SIZE))
+    mc.write(view("a", points, np.full((5, 1, 4), 0.7), frames), tmp_path, "coco")
+    data = json.loads((tmp_path / "a.json").read_text())
     odd = ([0, 0, 0], [0, 0, 0.5], [-1, -1, -1], [float("nan"), 3, 1], [7, 8, 0])
     for annotation, triple in zip(data["annotations"], odd, strict=True):
         annotation["keypoints"][:3] = triple
@@ -233,8 +240,7 @@ def test_what_the_user_says_of_other_files_is_refused(tmp_path, make, options, w
 
 
 def test_another_image_size_than_the_file_s_is_refused(tmp_path):
-    content = coco_bytes([0], ["nose"], np.full((1, 1, 1, 2), 0.5), np.ones((1, 1, 1)), SIZE)
-    (tmp_path / "b.json").write_bytes(content)
+    mc.write(view("b", np.full((1, 1, 4, 2), 0.5), np.ones((1, 1, 4))), tmp_path, "coco")
     with pytest.raises(mc.MismatchError, match=r"640x480, as the file says.*8x8"):
         mc.read_keypoints(tmp_path / "b.json", options=mc.ReadOptions(image_size=(8, 8)))
 
@@ -271,20 +277,15 @@ def test_cameras_are_named_by_hand_by_pattern_or_by_folder(tmp_path):
 def test_files_stay_in_order_and_each_that_is_wrong_is_reported(tmp_path):
     """HDF5 files are read side by side, others one at a time."""
     names = "abcdef"
+    (tmp_path / "in").mkdir()
     for k, name in enumerate(names):
-        positions = np.full((3, 1, 1, 2), 10.0 + k)
-        view = mc.Keypoints2D(
-            *(name, ("nose",), np.arange(3), positions, np.ones((3, 1, 1)), True, SIZE, "made")
-        )
-        if k == 2:
-            write_coco(tmp_path / "in", "c")
-            continue
-        mc.write(view, tmp_path / name, "deeplabcut-h5")
-        (tmp_path / "in").mkdir(exist_ok=True)
-        (tmp_path / name / f"{name}.h5").rename(tmp_path / "in" / f"{name}.h5")
+        made = view(name, np.full((3, 1, 4, 2), 10.0 + k), np.ones((3, 1, 4)))
+        mc.write(made, tmp_path / name, "coco" if k == 2 else "deeplabcut-h5")
+        (path,) = (tmp_path / name).iterdir()
+        path.rename(tmp_path / "in" / path.name)
     found = mc.read_keypoints(sorted((tmp_path / "in").iterdir()))
-    assert [view.camera for view in found] == list(names)
-    assert [view.positions.flat[0] for view in found if view.camera != "c"] == [10, 11, 13, 14, 15]
+    assert [each.camera for each in found] == list(names)
+    assert [each.positions.flat[0] for each in found] == [10, 11, 12, 13, 14, 15]
     for name in "be":
         path = tmp_path / "in" / f"{name}.h5"
         path.write_bytes(path.read_bytes()[:3000])
@@ -331,8 +332,7 @@ def test_a_folder_of_videos_is_refused_unless_it_has_keypoints_too(tmp_path):
     for place in (folder, tmp_path):
         with pytest.raises(mc.FormatError, match=r"found videos \(.*cam1.mp4, cam2.mp4\)"):
             mc.read_keypoints(place)
-    columns = [("net", "nose", coord) for coord in ("x", "y", "likelihood")]
-    (folder / "a.csv").write_text(dlc_csv([0, 1], columns, np.ones((2, 3))))
+    (folder / "a.csv").write_text("frame,keypoint,x,y\n0,nose,1,2\n")
     assert mc.read_keypoints(folder)[0].camera == "a"
 
 
@@ -349,7 +349,7 @@ def test_files_of_another_kind_are_shown_by_their_beginning(tmp_path):
     path = (tmp_path.parent / "cameras.toml").rename(tmp_path / "cameras.toml")
     for read, name, words in (
         (mc.read_keypoints, path.name, r"text that begins with '\[cam_0\] name = "),
-        (mc.read_cameras, "a.json", "a JSON object with images, "),
+        (mc.read_cameras, "a.json", "a JSON object with info, categories, images, "),
         (mc.read_poses, "a.json", "one of: poses-h5"),
     ):
         with pytest.raises(mc.FormatError, match=words):

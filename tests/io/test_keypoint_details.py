@@ -8,24 +8,22 @@ import json
 import os
 import pickle
 import random
+import shutil
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+import pandas
 import pytest
-from keypoint_files import coco, dlc_columns, dlc_csv, dlc_h5_fixed, dlc_h5_table, dlc_values
-from samples2d import FRAMES, NAMES, SAMPLES, SIZE, recording, triples, write_sample, write_slp
+from conformance import CORPUS, FRAMES, NAMES, SIZE, recording
 
 import mocap_calib as mc
 
 NAN = np.nan
 P, C = recording(1)  # of one individual
-P2, C2 = recording(2)  # of two
-POINTS = 10.0 + np.arange(18).reshape(3, 1, 3, 2)  # of three frames, for COCO
-SCORES = np.full((3, 1, 3), 0.5)
+P2, C2 = recording(2)  # of two, as in the corpus
 LAYOUT = mc.ReadOptions(layout=NAMES)
 SHARES = mc.ReadOptions(layout=NAMES, image_size=SIZE)
 Make = Callable[[Path], object]
@@ -45,36 +43,40 @@ class Case(NamedTuple):
 
 def text(content: object, name: str = "cam.json") -> Make:
     """Return what writes a text, or JSON, or bytes, into a file."""
+    as_text = content if isinstance(content, str | bytes) else json.dumps(content)
+    as_bytes = as_text if isinstance(as_text, bytes) else as_text.encode()
 
     def make(folder: Path) -> None:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        as_text = content if isinstance(content, str | bytes) else json.dumps(content)
-        (folder / name).write_bytes(as_text if isinstance(as_text, bytes) else as_text.encode())
+        (folder / name).write_bytes(as_bytes)
 
     return make
 
 
-def stored(
-    write: str | Make, changes: Mapping[str, object], p: np.ndarray = P, c: np.ndarray = C
-) -> Make:
-    """Return what writes HDF5 of a sample and changes entries, `path` or `path@attribute`.
+def stored(entry: str, changes: Mapping[str, object] | Callable[[h5py.File], object]) -> Make:
+    """Return what copies a file of the corpus, of HDF5 with changed `path` or `path@attribute`.
 
-    None removes a dataset.
+    A function makes the new dataset of the old one; None removes it.
     """
 
     def make(folder: Path) -> None:
-        (SAMPLES[write].write if isinstance(write, str) else write)(folder, p, c)
-        (path,) = folder.iterdir()
-        with h5py.File(path, "a") as file:
-            for key, value in changes.items():
+        (path,) = (CORPUS / "keypoints" / entry).iterdir()
+        with h5py.File(shutil.copy(path, folder), "a") as file:
+            if callable(changes):
+                changes(file)
+            for key, value in () if callable(changes) else changes.items():
                 place, _, attribute = key.partition("@")
                 if attribute:
                     file[place or "/"].attrs[attribute] = value
                     continue
-                if place in file:
+                old, kept = file.get(place), {}
+                if old is not None:
+                    value = value(old[...]) if callable(value) else value  # noqa: PLW2901
+                    kept = {k: v for k, v in old.attrs.items() if not k.endswith("_LIST")}
                     del file[place]
                 if value is not None:
                     file[place] = value
+                    file[place].attrs.update(kept)
 
     return make
 
@@ -95,50 +97,63 @@ def check(case: Case, folder: Path) -> None:
             if name == "remarks":
                 assert any(value in remark for remark in found)
             elif isinstance(found, np.ndarray):
-                np.testing.assert_allclose(
-                    found, np.broadcast_to(value, found.shape), rtol=0, atol=1e-9
-                )
+                expected = np.broadcast_to(value, found.shape)
+                np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
             else:
                 assert found == value
 
 
 # --- COCO and its relatives
 
-MISSING_FIRST = np.where(np.arange(9).reshape(3, 1, 3, 1) == 0, NAN, POINTS)
-TWO = np.concatenate([POINTS, POINTS + 20], axis=1)
-HIDDEN = np.where(np.arange(6).reshape(3, 2, 1, 1) == 0, NAN, TWO)
+
+def coco(**lists: object) -> dict[str, Any]:
+    """Return the first three frames of the COCO file of the corpus, with other lists."""
+    data = json.loads((CORPUS / "keypoints" / "coco" / "cam.json").read_text("utf-8"))
+    data["images"], data["annotations"] = data["images"][:3], data["annotations"][:6]
+    return data | lists
+
+
+POINTS = P2[:3]
+FIRST = np.indices(POINTS.shape)[:3].sum(0) == 0  # of all points
+HIDDEN = np.where(np.arange(6).reshape(3, 2, 1, 1) == 0, NAN, POINTS)
 BY_CAMERA = "camera_regex="
 IDS = mc.ReadOptions(layout=NAMES, camera_pattern=r"1(?P<camera>\d{3})(?P<frame>\d{7})")
 
 
 def images(*names: str, expected: Any, paths: str = "", **fields: tuple[object, ...]) -> Case:
     """Return a case of COCO images with these file names and fields; None removes one."""
-    data = coco([3, 4, 10], NAMES, POINTS, SCORES)
+    data = coco()
     given = fields | ({"file_name": names} if names else {})
+    ids = dict(zip(range(3), fields.get("id", range(3)), strict=True))
     for k, image in enumerate(data["images"]):
         image.update({key: values[k] for key, values in given.items()})
         data["images"][k] = {key: value for key, value in image.items() if value is not None}
-        data["annotations"][k]["image_id"] = image["id"]
+    for each in data["annotations"]:
+        each["image_id"] = ids[each["image_id"]]
     wanted = {"frames": expected, "positions": POINTS} if isinstance(expected, tuple) else expected
     return Case(text(data), wanted, paths=paths)
 
 
-def annotated(expected: Any, change: Callable[[dict], object], data: Any = None) -> Case:
-    """Return a case of COCO, of two individuals unless it is given, that a function changes."""
-    data = data or coco([3, 4, 10], NAMES, TWO, np.full((3, 2, 3), 0.5))
+def annotated(expected: Any, change: Callable[[dict], object]) -> Case:
+    """Return a case of COCO that a function changes."""
+    data = coco()
     change(data)
     return Case(text(data), expected)
 
 
-def first_point(*triple: float | None, expected: Any = MISSING_FIRST) -> Case:
-    data = coco([3, 4, 10], NAMES, POINTS, SCORES)
-    data["annotations"][0]["keypoints"][:3] = triple
-    return Case(text(data), {"positions": expected})
+def first_point(*triple: float | None, expected: Any = (NAN, NAN)) -> Case:
+    return annotated(
+        {"positions": np.where(FIRST, expected, POINTS)},
+        lambda data: data["annotations"][0]["keypoints"].__setitem__(slice(3), triple),
+    )
 
 
 def third_numbers(given: tuple[float, ...], expected: tuple[float, ...]) -> Case:
-    data = coco([3, 4, 10], NAMES, POINTS, np.broadcast_to(given, (3, 1, 3)))
-    return Case(text(data), {"confidence": expected})
+    points = [value for each in given for value in (5, 6, each)]
+    return annotated(
+        {"confidence": expected},
+        lambda data: [each.update(keypoints=points) for each in data["annotations"]],
+    )
 
 
 def add_boxes(data: dict) -> None:
@@ -158,6 +173,10 @@ PEOPLE = [
 ]
 ROBOFLOW = [f"a_000{k}_png.rf.91b7584a2265b1f{k}.jpg" for k in (3, 4, 5)]
 FOLDERS = ("left/i3.png", "right/i5.png", "left/i9.png")
+LEFT = [{"camera": "left", "frames": [3, 9]}, {"camera": "right", "frames": [5]}]
+PATTERN = [{"camera": "cam2", "frames": [0, 6]}, {"camera": "cam1", "frames": [4]}]
+DAYS = ("day1/cam2/color/0.png", "day1/cam1/color/4.png", "day1/cam2/color/6.png")
+TWICE = ("cam1/0.png", "cam2/0.png", "cam1/1.png")
 BARE = {"file_name": (None,) * 3}
 COCO = {
     "the first integer": images("a7/5_c1.jpg", "a7/6_c1.jpg", "a7/9_c1.jpg", expected=(5, 6, 9)),
@@ -174,10 +193,7 @@ COCO = {
     "two cameras behind": images("0_c1.png", "1_c1.png", "0_c2.png", expected=BY_CAMERA),
     "two folders deep": images("d1/a/0.png", "d2/b/1.png", "d2/a/2.png", expected=BY_CAMERA),
     "one frame twice": images("cam1/8.png", "8.png", "9.png", expected=r"8\.png"),
-    "a folder a camera": images(
-        *FOLDERS,
-        expected=[{"camera": "left", "frames": [3, 9]}, {"camera": "right", "frames": [5]}],
-    ),
+    "a folder a camera": images(*FOLDERS, expected=LEFT),
     "the user knows better": images(
         *FOLDERS, expected={"camera": "cam", "frames": [3, 5, 9]}, paths="cam={}/cam.json"
     ),
@@ -187,7 +203,7 @@ COCO = {
     "missing at NaN": first_point(NAN, 3, 0.5),
     "missing at null": first_point(4, None, 1),
     "a score that is none": first_point(4, 3, NAN),
-    "on an edge": first_point(0, 7, 1, expected=np.where(POINTS < 12, [0, 7], POINTS)),
+    "on an edge": first_point(0, 7, 1, expected=(0, 7)),
     "visibilities": third_numbers((0, 1, 2), (0, 0.5, 1)),
     "visibilities or scores": third_numbers((0, 1, 1), (0, 1, 1)),
     "scores": third_numbers((0.5, 1, 2), (0.5, 1, 2)),
@@ -196,29 +212,25 @@ COCO = {
         {"positions": HIDDEN}, lambda data: data["annotations"][0].update(keypoints=[])
     ),
     "images in another order": annotated(
-        {"frames": [3, 4, 10], "positions": TWO}, lambda data: data["images"].reverse()
+        {"frames": [0, 1, 2], "positions": POINTS}, lambda data: data["images"].reverse()
     ),
     "annotations in another order": annotated(
-        {"positions": TWO[:, ::-1]}, lambda data: data["annotations"].reverse()
+        {"positions": POINTS[:, ::-1]}, lambda data: data["annotations"].reverse()
     ),
     "an image without annotations": annotated(
         {"positions": np.where(np.arange(3).reshape(3, 1, 1, 1) == 1, NAN, POINTS)},
-        lambda data: data["annotations"].pop(1),
-        coco([3, 4, 10], NAMES, POINTS, SCORES),
+        lambda data: data["annotations"].__delitem__(slice(2, 4)),
     ),
-    "ids that are quoted": annotated({"positions": TWO}, quote_ids),
-    "a category of boxes": annotated({"positions": TWO}, add_boxes),
+    "ids that are quoted": annotated({"positions": POINTS}, quote_ids),
+    "a category of boxes": annotated({"positions": POINTS}, add_boxes),
     "results of two cameras": Case(
         text(PEOPLE), [{"camera": camera, "frames": [4, 9]} for camera in ("001", "002")], IDS
     ),
-    "cameras by a pattern": images(
-        *("day1/cam2/color/0.png", "day1/cam1/color/4.png", "day1/cam2/color/6.png"),
-        expected=[{"camera": "cam2", "frames": [0, 6]}, {"camera": "cam1", "frames": [4]}],
-    )._replace(options=mc.ReadOptions(camera_pattern="cam[12]")),
+    "cameras by a pattern": images(*DAYS, expected=PATTERN)._replace(
+        options=mc.ReadOptions(camera_pattern="cam[12]")
+    ),
     "two cameras under one name": images(
-        *("cam1/0.png", "cam2/0.png", "cam1/1.png"),
-        expected="without a name|twice",
-        paths="a={}/cam.json",
+        *TWICE, expected="without a name|twice", paths="a={}/cam.json"
     ),
 }
 
@@ -229,48 +241,73 @@ def row(content: str, expected: Any, **options: Any) -> Case:
     return Case(text(content, "cam.csv"), expected, mc.ReadOptions(**options))
 
 
-def dlc(expected: Any, *, rows=FRAMES, columns=None, values=None, index=1, change=list) -> Case:
+def columns(*labels: list[str] | tuple[str, ...]) -> pandas.MultiIndex:
+    """Return DeepLabCut's header of all combinations of some labels below the scorer."""
+    levels = ["scorer", *["individuals"][: len(labels) - 2], "bodyparts", "coords"]
+    return pandas.MultiIndex.from_product([["net"], *labels], names=levels)
+
+
+def triples(p: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Return x, y and likelihood of all points, a row a frame."""
+    return np.concatenate([p, c[..., None]], -1).reshape(len(p), -1)
+
+
+COORDS = ("x", "y", "likelihood")
+OF_ONE, VALUES = columns(NAMES, COORDS), triples(P, C)
+
+
+def dlc(
+    expected: Any, *, rows=FRAMES, header=OF_ONE, values=VALUES, change=list, **options
+) -> Case:
     """Return a case of a DeepLabCut table whose lines a function changes."""
-    columns, values = columns or dlc_columns(NAMES), dlc_values(P, C) if values is None else values
-    return row("\n".join(change(dlc_csv(rows, columns, values, index).splitlines())), expected)
-
-
-def dlc_h5(expected: Any, write: Callable, *, rows=FRAMES, columns=None, values=None) -> Case:
-    columns, values = columns or dlc_columns(NAMES), dlc_values(P, C) if values is None else values
-    return Case(lambda folder: write(folder / "c.h5", list(rows), columns, values), expected)
+    lines = pandas.DataFrame(values, rows, header).to_csv().splitlines()
+    return row("\n".join(change(lines)), expected, **options)
 
 
 IMAGES = [("labeled-data", "clip", f"img{frame:04d}.png") for frame in FRAMES]
 PATHS = ["/".join(path) for path in IMAGES]
-FOUND = {"frames": FRAMES, "positions": P}
+FOUND, FOUND2 = {"frames": FRAMES, "positions": P}, {"frames": FRAMES, "positions": P2}
+LEVELS = {
+    f"predictions/axis1_{part}": value
+    for k in range(3)
+    for part, value in (
+        (f"level{k}", np.array([path[k] for path in IMAGES], "S")),
+        (f"label{k}", np.arange(5)),
+    )
+}
 UNIQUE = {
-    "columns": [
-        *dlc_columns(NAMES, ("m1", "m2")),
-        *(("net", "single", "corner", coord) for coord in ("x", "y", "likelihood")),
-    ][::-1],
-    "values": np.concatenate([dlc_values(P2, C2), np.ones((len(FRAMES), 3))], axis=1)[:, ::-1],
+    "header": columns(("m1", "m2"), NAMES, COORDS).append(columns(["single"], ["corner"], COORDS))[
+        ::-1
+    ],
+    "values": np.concatenate([triples(P2, C2), np.ones((len(FRAMES), 3))], axis=1)[:, ::-1],
 }
 TURNED = {"keypoints": NAMES[::-1], "positions": P2[:, ::-1, ::-1], "remarks": "corner"}
 USED = ["set", "", "", "train", "validation", "unlabeled", "", "test"]
-COORDS = ("x", "y", "likelihood", "x_ens_median", "y_ens_median", "x_ens_var", "x_posterior_var")
-ANIMALS = {"columns": dlc_columns(NAMES, ("animal0", "animal1")), "values": dlc_values(P2, C2)}
+ENSEMBLE = (*COORDS, "x_ens_median", "y_ens_median", "x_ens_var", "x_posterior_var")
+ANIMALS = {"header": columns(("animal0", "animal1"), NAMES, COORDS), "values": triples(P2, C2)}
 ANY_ORDER = {"tracked": False, "positions": P2}
 SHORT = np.where(np.arange(5).reshape(5, 1, 1, 1) == 1, NAN, P)
+VIEWS = [
+    {"camera": "top", "keypoints": ("nose", "tail"), "positions": P[:, :, :2]},
+    {"camera": "bot", "keypoints": ("nose",), "positions": P[:, :, 2:]},
+]
 HEAD, LITTLE = "camera,frame,individual,keypoint,x,y\n", "frame,keypoint,x,y\n"
+QUOTED = 'track,frame_idx,instance.score,"a,b.x","a,b.y","a,b.score"\n,0,1.0,10.0,20.0,0.5\n'
 TABLES = {
     "paths of images": dlc(FOUND, rows=PATHS),
-    "paths in three columns": dlc(FOUND, rows=[",".join(path) for path in IMAGES], index=3),
-    "paths as levels in .h5": dlc_h5(FOUND, dlc_h5_fixed, rows=IMAGES),
-    "paths in .h5": dlc_h5(FOUND, dlc_h5_fixed, rows=PATHS),
-    "paths in a table in .h5": dlc_h5(FOUND, dlc_h5_table, rows=PATHS),
+    "paths in three columns": dlc(FOUND, rows=pandas.MultiIndex.from_tuples(IMAGES)),
+    "paths as levels in .h5": Case(
+        stored("deeplabcut-h5-fixed", {"predictions/axis1": None} | LEVELS), FOUND2
+    ),
+    "paths in .h5": Case(
+        stored("deeplabcut-h5-fixed", {"predictions/axis1": np.array(PATHS, "S")}), FOUND2
+    ),
     "no likelihood": dlc(
         {"positions": P, "confidence": C > 0},
-        columns=dlc_columns(NAMES, likelihood=False),
-        values=dlc_values(P, C, likelihood=False),
+        header=columns(NAMES, COORDS[:2]),
+        values=P.reshape(5, -1),
     ),
     "unique body parts": dlc(TURNED, **UNIQUE),
-    "unique body parts in .h5": dlc_h5(TURNED, dlc_h5_table, **UNIQUE),
-    "unique body parts in a fixed .h5": dlc_h5(TURNED, dlc_h5_fixed, **UNIQUE),
     "a mark, line ends, short scorers, a short row": dlc(
         {"positions": SHORT},
         change=lambda x: ["\ufeffscorer,net\r", *x[1:4], f"{FRAMES[1]},,\r", *x[5:], "\r"],
@@ -281,19 +318,14 @@ TABLES = {
     ),
     "the spread of an ensemble": dlc(
         {"positions": P, "confidence": C},
-        columns=[("eks", name, coord) for name in NAMES for coord in COORDS],
+        header=columns(NAMES, ENSEMBLE),
         values=np.concatenate([P, C[..., None], np.full((*C.shape, 4), 7.0)], -1).reshape(5, -1),
     ),
     "animals of SuperAnimal": dlc(ANY_ORDER, **ANIMALS),
-    "animals of SuperAnimal in .h5": dlc_h5(ANY_ORDER, dlc_h5_fixed, **ANIMALS),
     "two views in names": dlc(
-        [
-            {"camera": "top", "keypoints": ("nose", "tail"), "positions": P[:, :, :2]},
-            {"camera": "bot", "keypoints": ("nose",), "positions": P[:, :, 2:]},
-        ],
-        columns=dlc_columns(("nose_top", "tail_top", "nose_bot")),
-    )._replace(options=mc.ReadOptions(views=("top", "bot"))),
-    "a view that is none": dlc("views=")._replace(options=mc.ReadOptions(views=("top",))),
+        VIEWS, header=columns(("nose_top", "tail_top", "nose_bot"), COORDS), views=("top", "bot")
+    ),
+    "a view that is none": dlc("views=", views=("top",)),
     "a header of a name alone": row(
         "scorer,,s\nbodyparts,,nose\ncoords,,\n0,1,2\n", "row `coords`"
     ),
@@ -301,19 +333,12 @@ TABLES = {
         "row 4.*commas", change=lambda x: [line.replace(".", ",") for line in x]
     ),
     "a frame twice": dlc(r"frame 3 twice, at row 4 \(3\) and row 6 \(3\)", rows=[3, 4, 3, 5, 6]),
-    "a comma in a name": row(
-        'track,frame_idx,instance.score,"a,b.x","a,b.y","a,b.score"\n,0,1.0,10.0,20.0,0.5\n',
-        {"keypoints": ("a,b",), "positions": [10.0, 20.0]},
-    ),
+    "a comma in a name": row(QUOTED, {"keypoints": ("a,b",), "positions": [10.0, 20.0]}),
     "little": row(
         LITTLE + "7,nose,1.5,2.5\n9,,,\n8,tail,3,4\n",
         {
-            **{
-                "camera": "cam",
-                "keypoints": ("nose", "tail"),
-                "frames": [7, 8, 9],
-                "tracked": True,
-            },
+            **{"camera": "cam", "keypoints": ("nose", "tail"), "frames": [7, 8, 9]},
+            **{"tracked": True},
             "positions": [[[[1.5, 2.5], [NAN] * 2]], [[[NAN] * 2, [3, 4]]], [[[NAN] * 2] * 2]],
         },
     ),
@@ -345,7 +370,7 @@ TABLES = {
         HEAD + "".join(f"c,0,a,k{k},1,2\n" for k in range(60_000)), "at most 5000 keypoints"
     ),
     "points without names": Case(
-        partial(write_sample, "label3d", positions=P, confidence=C),
+        lambda folder: shutil.copy(CORPUS / "keypoints/label3d/labels.mat", folder),
         {"keypoints": ("point_1", "point_2", "point_3")},
     ),
     "numbered points": row(
@@ -353,8 +378,8 @@ TABLES = {
         {"keypoints": ("7", "2"), "positions": [[1, 2], [3, 4]], "frames": [4]},
     ),
     "fewer names than points": Case(
-        partial(write_sample, "caliscope", positions=P, confidence=C),
-        r"row 3: .*below 1",
+        lambda folder: shutil.copy(CORPUS / "keypoints/caliscope/xy.csv", folder),
+        r"row 4: .*below 1",
         mc.ReadOptions(layout=("nose",)),
     ),
 }
@@ -376,24 +401,25 @@ def people(*frames: list[object], folder: str = "cam_json") -> Make:
 
 def in_one_file(people: str, points: str) -> Make:
     """Return what writes OpenPose's people as AlphaPose does, all frames in one file."""
-    frames = {
-        f"{frame}.jpg": {
-            people: [{points: triples(*each)} for each in zip(P2[k], C2[k], strict=True)]
+    files = sorted((CORPUS / "keypoints" / "openpose" / "cam_json").iterdir())
+    found = [json.loads(path.read_text("utf-8"))["people"] for path in files]
+    return text(
+        {
+            f"{frame}.jpg": {people: [{points: each["pose_keypoints_2d"]} for each in of_frame]}
+            for frame, of_frame in enumerate(found)
         }
-        for k, frame in enumerate(FRAMES)
-    }
-    return text(frames)
+    )
 
 
 def of_program(program: str, count: int) -> Make:
     """Return what writes one body of so many points."""
-    points, scores = np.full((count, 2), 5.0), np.full(count, 0.5)
+    points = [5.0, 5.0, 0.5] * count
     entry = {"image_id": "0.jpg", "score": 2.0, "box": [1, 2, 3, 4], "idx": [0.0]}
-    named = {"keypoints": points.tolist(), "keypoint_scores": scores.tolist()}
+    named = {"keypoints": [[5.0, 5.0]] * count, "keypoint_scores": [0.5] * count}
     contents = {
-        "alphapose": [entry | {"category_id": 1, "keypoints": triples(points, scores)}],
+        "alphapose": [entry | {"category_id": 1, "keypoints": points}],
         "mmpose": [{"frame_id": 0, "instances": [named]}],
-        "openpose": {"people": [{"pose_keypoints_2d": triples(points, scores)}]},
+        "openpose": {"people": [{"pose_keypoints_2d": points}]},
     }
     return text(contents[program], "0.json")
 
@@ -406,9 +432,8 @@ def shares(*cells: object) -> Make:
 IN_FILE = "{}/cam.json"
 FEET = ("left_big_toe", "left_small_toe", "left_heel")
 ONE = [5.0, 6.0, 0.5]
-TWICE = text(
-    " ".join(["0"] + ["0.5"] * 13) + "\n" + " ".join(["0"] + ["0.5"] * 13), "cam/video_3.txt"
-)
+LINE = " ".join(["0"] + ["0.5"] * 13)
+LINE_TWICE = text(f"{LINE}\n{LINE}", "cam/video_3.txt")
 PER_FRAME = {
     "people in any order": Case(
         people([ONE * 3, [7.0, 8, 1] * 3], [[7.0, 8, 1] * 3]),
@@ -456,7 +481,7 @@ PER_FRAME = {
     ),
     "shares without a size": Case(shares(*[0.5] * 9), "image_size=", LAYOUT),
     "shares that are pixels": Case(shares(320, 240, 1, 10, 20, 1, 3, 4, 1), "letterboxed", SHARES),
-    "a line twice": Case(TWICE, "line 2: .*line 1", SHARES),
+    "a line twice": Case(LINE_TWICE, "line 2: .*line 1", SHARES),
     **{
         f"shares of {count} numbers": Case(
             shares(*["0.5"] * count),
@@ -497,197 +522,155 @@ def test_a_layout_names_each_point_and_the_model_of_people_knows_them(tmp_path, 
 
 # --- HDF5 of SLEAP, movement and NWB
 
-BACKEND = json.dumps({"backend": {"filename": "."}})
-INSIDE = [json.dumps({"backend": {"filename": ".", "dataset": f"video{k}/video"}}) for k in (0, 1)]
 SESSION = {
     "calibration": {"cam_0": {"name": "right"}, "cam_1": {"name": "left"}, "metadata": {}},
     "camcorder_to_video_idx_map": {"0": "1", "1": "0"},
 }
-VIDEOS = partial(write_slp, videos=("left_cam", "right_cam"))
-BY_VIDEO = [{"camera": name, "positions": P2} for name in ("left_cam", "right_cam")]
+POSES = "processing/behavior/PoseEstimation"
+
+
+def videos(expected: Any, names: list[object], pattern: str = "", **changes: object) -> Case:
+    """Return a case of a SLEAP project of two videos, each with the frames of the corpus'."""
+
+    def doubled(rows: np.ndarray) -> np.ndarray:
+        more = rows.copy()
+        more["video"], more["frame_id"] = 1, more["frame_id"] + len(rows)
+        return np.concatenate([rows, more])
+
+    backends = [json.dumps({"backend": name}) for name in names]
+    two = {"frames": doubled, "videos_json": np.array(backends, "S")}
+    options = mc.ReadOptions(camera_pattern=pattern)
+    return Case(stored("sleap-slp", two | changes), expected, options)
+
+
+NAMED = [{"filename": f"D:\\data\\{name}_cam.mp4"} for name in ("left", "right")]
+INSIDE = [{"filename": ".", "dataset": f"video{k}/video"} for k in (0, 1)]
+BY_VIDEO = [{"camera": f"{name}_cam", "positions": P2} for name in ("left", "right")]
+BY_NAME = [{"camera": "left"}, {"camera": "right"}]
+SOURCES = {f"video{k}/source_video/a": 0 for k in (0, 1)} | {
+    f"video{k}/source_video@json": json.dumps({"backend": each}) for k, each in enumerate(NAMED)
+}
+
+
+def corrected(rows: np.ndarray) -> np.ndarray:
+    """Return instances of which the second corrects the first by hand."""
+    rows["track"] = -1
+    for field in ("instance_type", "from_predicted", "point_id_start"):
+        rows[1][field] = 0
+    rows[1]["point_id_end"] = 3
+    return rows
+
+
+def sleap(expected: Any, **changes: object) -> Case:
+    return Case(stored("sleap", changes), expected)
+
+
+def times(expected: Any, name: str, value: object, **rate: float) -> Case:
+    """Return a case of NWB whose series have these times."""
+    changes: dict[str, object] = {}
+    for joint in NAMES:
+        changes |= {f"{POSES}/{joint}/timestamps": None, f"{POSES}/{joint}/{name}": value}
+        changes |= {f"{POSES}/{joint}/{name}@{key}": each for key, each in rate.items()}
+    return Case(stored("nwb", changes), expected)
+
+
+def giant(kind: str, frames: int, chunk: int, filled: int) -> Make:
+    """Return what claims so many frames, some of them there: deflate packs a thousandfold."""
+
+    def make(file: h5py.File) -> None:
+        del file["tracks"]
+        shape, chunks = (1, 2, 10, frames), (1, 2, 10, chunk)
+        tracks = file.create_dataset("tracks", shape, kind, chunks=chunks, compression="gzip")
+        for start in range(0, filled, chunk):
+            tracks[..., start : start + chunk] = 1
+
+    return stored("sleap", make)
+
+
+def filtered(file: h5py.File) -> None:
+    """Write a chunk under blosc's filter number, which h5py does not have."""
+    del file["predictions/block0_values"]
+    given = {"chunks": (5, 9), "compression": 32001, "allow_unknown_filter": True}
+    values = file.create_dataset("predictions/block0_values", (5, 9), "f8", **given)
+    values.id.write_direct_chunk((0, 0), b"\0" * 40)
+
+
+NO_TRACKS = dict.fromkeys(("point_scores", "track_occupancy"))
 AXES = {
     "tracks": P2[:2].transpose(2, 3, 0, 1),
     "tracks@dims": json.dumps(["node", "xy", "frame", "track"]),
     "point_scores": C2[:2].transpose(2, 0, 1),
     "track_occupancy": None,
 }
-POSES = "processing/behavior/PoseEstimation"
-
-
-def times(name: str, value: object, **rate: float) -> Make:
-    """Return what writes NWB whose series have these times."""
-    changes: dict[str, object] = {}
-    for joint in NAMES:
-        changes |= {f"{POSES}/{joint}/timestamps": None, f"{POSES}/{joint}/{name}": value}
-        changes |= {f"{POSES}/{joint}/{name}@{key}": each for key, each in rate.items()}
-    return stored("nwb", changes)
-
-
-def corrected(folder: Path) -> None:
-    """Write a project in whose first frame the second instance corrects the first."""
-    write_slp(folder, P2, C2)
-    with h5py.File(folder / "cam.slp", "a") as file:
-        rows = file["instances"][...]
-        rows["track"] = -1
-        for field in ("instance_type", "from_predicted", "point_id_start"):
-            rows[1][field] = 0
-        rows[1]["point_id_end"] = 3
-        made = np.array([(7.0, 8.0, True, True)] * 3, dtype=file["points"].dtype)
-        del file["instances"], file["points"]
-        file["instances"], file["points"] = rows, made
-
-
-def two_nwb(folder: Path) -> None:
-    write_sample("nwb", folder, P, C)
-    with h5py.File(folder / "cam.nwb", "a") as file:
-        file.copy(POSES, file["processing/behavior"], name="right")
-
-
-def giant(folder: Path) -> None:
-    """Claim 160 MB, of which a quarter is there, in 40 kB: deflate packs a thousandfold."""
-    with h5py.File(folder / "a.h5", "w") as file:
-        shape, chunks = (1, 2, 10, 1_000_000), (1, 2, 10, 50_000)
-        tracks = file.create_dataset("tracks", shape, "f8", chunks=chunks, compression="gzip")
-        for start in range(0, 250_000, 50_000):
-            tracks[..., start : start + 50_000] = 1.0
-        file["node_names"] = np.array([f"n{k}" for k in range(10)], dtype="S")
-        file["track_names"] = np.array([b"t"])
-
-
-def crowd(folder: Path) -> None:
-    """Claim 500 million entries of a byte, in half a megabyte."""
-    with h5py.File(folder / "a.h5", "w") as file:
-        shape, chunks = (1, 2, 10, 25_000_000), (1, 2, 10, 1_000_000)
-        tracks = file.create_dataset("tracks", shape, "i1", chunks=chunks, compression="gzip")
-        for start in range(0, 25_000_000, 1_000_000):
-            tracks[..., start : start + 1_000_000] = 1
-        file["node_names"] = np.array([f"n{k}" for k in range(10)], dtype="S")
-        file["track_names"] = np.array([b"t"])
-
-
-def filtered(folder: Path) -> None:
-    """Write a chunk under blosc's filter number, which h5py does not have."""
-    dlc_h5_fixed(folder / "blosc.h5", FRAMES, dlc_columns(NAMES), dlc_values(P, C))
-    with h5py.File(folder / "blosc.h5", "a") as file:
-        group = file["predictions"]
-        del group["block0_values"]
-        plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        plist.set_chunk((5, 9))
-        plist.set_filter(32001, h5py.h5z.FLAG_OPTIONAL, ())
-        space = h5py.h5s.create_simple((5, 9))
-        kind = h5py.h5t.IEEE_F64LE
-        values = h5py.h5d.create(group.id, b"block0_values", kind, space, plist)
-        values.write_direct_chunk((0, 0), b"\0" * 40)
-
-
-def two_keys(folder: Path) -> None:
-    for key in ("one", "two"):
-        dlc_h5_table(folder / "a.h5", FRAMES, dlc_columns(NAMES), dlc_values(P, C), key=key)
-
-
+BY_HAND = {
+    "instances": corrected,
+    "points": lambda points: np.array([(7.0, 8.0, True, True)] * 3, dtype=points.dtype),
+}
 STORES = {
     "before SLEAP 1.1": Case(
-        stored("sleap-slp", {"metadata@format_id": 1.0}), {"positions": P - 0.5}
+        stored("sleap-slp", {"metadata@format_id": 1.0}), {"positions": P2 - 0.5}
     ),
-    "SLEAP 1.1": Case(stored("sleap-slp", {"metadata@format_id": 1.1}), {"positions": P}),
-    "videos of a project": Case(stored(VIDEOS, {}, P2, C2), BY_VIDEO),
-    "a part of a video's name": Case(
-        stored(VIDEOS, {}, P2, C2),
-        [{"camera": "left"}, {"camera": "right"}],
-        mc.ReadOptions(camera_pattern="(left|right)_"),
+    "SLEAP 1.1": Case(stored("sleap-slp", {"metadata@format_id": 1.1}), {"positions": P2}),
+    "videos of a project": videos(BY_VIDEO, NAMED),
+    "a part of a video's name": videos(BY_NAME, NAMED, "(left|right)_"),
+    "a package without names": videos("found none; export an analysis", INSIDE),
+    "a package of named videos": videos(BY_VIDEO, INSIDE, **SOURCES),
+    "a package of a session": videos(
+        BY_NAME, [{"filename": "."}] * 2, sessions_json=np.array([json.dumps(SESSION)], "S")
     ),
-    "a package without names": Case(
-        stored(VIDEOS, {"videos_json": np.array(INSIDE, "S")}), r"found none; export an analysis"
+    "a correction by hand": Case(stored("sleap-slp", BY_HAND), {"tracked": False}),
+    "SLEAP's axes as numpy has them": sleap({"positions": P2}, tracks=P2, point_scores=C2),
+    "axes that fit two orders": sleap(
+        "fits 2 orders", **NO_TRACKS, track_names=None, tracks=np.zeros((2, 2, 3, 2))
     ),
-    "a package of named videos": Case(
-        stored(
-            VIDEOS,
-            {"videos_json": np.array(INSIDE, "S"), "video0/source_video/a": 0}
-            | {"video1/source_video/a": 0}
-            | {
-                f"video{k}/source_video@json": json.dumps({"backend": {"filename": f"{name}.mp4"}})
-                for k, name in enumerate(("left_cam", "right_cam"))
-            },
-            *(P2, C2),
-        ),
-        BY_VIDEO,
-    ),
-    "a package of a session": Case(
-        stored(
-            VIDEOS,
-            {
-                "videos_json": np.array([BACKEND] * 2, "S"),
-                "sessions_json": np.array([json.dumps(SESSION)], "S"),
-            },
-            *(P2, C2),
-        ),
-        [{"camera": "left"}, {"camera": "right"}],
-    ),
-    "a correction by hand": Case(corrected, {"tracked": False}),
-    "SLEAP's axes as numpy has them": Case(
-        stored("sleap", {"tracks": P2, "point_scores": C2}, P2, C2), {"positions": P2}
-    ),
-    "axes that fit two orders": Case(
-        stored(
-            "sleap",
-            dict.fromkeys(("point_scores", "track_occupancy", "track_names"))
-            | {"tracks": np.zeros((2, 2, 3, 2))},
-        ),
-        "fits 2 orders",
-    ),
-    "axes by the number of tracks": Case(
-        stored(
-            "sleap",
-            dict.fromkeys(("point_scores", "track_occupancy"))
-            | {"tracks": P[:2].transpose(1, 3, 2, 0)},
-        ),
+    "axes by the number of tracks": sleap(
         {"positions": P[:2]},
+        **NO_TRACKS,
+        track_names=np.array(["one"], "S"),
+        tracks=P[:2].transpose(1, 3, 2, 0),
     ),
-    "axes that are named": Case(
-        stored("sleap", AXES, P2, C2), {"positions": P2[:2], "confidence": C2[:2]}
-    ),
-    "axes of nothing": Case(
-        stored("sleap", AXES | {"tracks@dims": "[" * 100_000}, P2, C2), "a whole SLEAP analysis"
-    ),
-    "tracks without names": Case(
-        stored("sleap", {"track_names": np.zeros(0), "point_scores": None}, P2, C2),
+    "axes that are named": sleap({"positions": P2[:2], "confidence": C2[:2]}, **AXES),
+    "axes of nothing": sleap("a whole SLEAP analysis", **AXES | {"tracks@dims": "[" * 100_000}),
+    "tracks without names": sleap(
         {"tracked": False, "confidence": np.isfinite(P2[..., 0])},
+        track_names=np.zeros(0),
+        point_scores=None,
     ),
     "poses of two cameras": Case(
-        two_nwb,
+        stored("nwb", lambda file: file.copy(POSES, file["processing/behavior"], name="right")),
         [{"camera": name, "remarks": "NWB has times"} for name in ("PoseEstimation", "right")],
     ),
-    "a rate": Case(times("starting_time", 1.0, rate=30.0), {"frames": [30, 31, 32, 33, 34]}),
-    "times that jitter": Case(
-        times("timestamps", [0.0, 0.0334, 0.0665, 0.2001, 0.2332]), {"frames": [0, 1, 2, 6, 7]}
+    "a rate": times({"frames": [30, 31, 32, 33, 34]}, "starting_time", 1.0, rate=30.0),
+    "times that jitter": times(
+        {"frames": [0, 1, 2, 6, 7]}, "timestamps", [0.0, 0.0334, 0.0665, 0.2001, 0.2332]
     ),
-    "late times": Case(
-        times("timestamps", [10.0, 10.02, 10.04, 10.06, 10.08]),
-        {"frames": [500, 501, 502, 503, 504]},
+    "late times": times(
+        {"frames": [500, 501, 502, 503, 504]}, "timestamps", [10.0, 10.02, 10.04, 10.06, 10.08]
     ),
-    "a time twice": Case(times("timestamps", [0.0, 0.1, 0.1, 0.2, 0.3]), "times that increase"),
-    "a time that is none": Case(times("timestamps", [0.0, 0.1, NAN, 0.2, 0.3]), "times that incr"),
-    "a rate of zero": Case(times("starting_time", 1.0, rate=0.0), "times that increase"),
+    "a time twice": times("times that increase", "timestamps", [0.0, 0.1, 0.1, 0.2, 0.3]),
+    "a time that is none": times("times that incr", "timestamps", [0.0, 0.1, NAN, 0.2, 0.3]),
+    "a rate of zero": times("times that increase", "starting_time", 1.0, rate=0.0),
     "times of another rate": Case(stored("movement", {"@fps": 30.0}), "whole frames"),
     "times of two axes": Case(stored("movement", {"time": np.zeros((5, 1))}), "whole frames"),
     "axes x and z": Case(
         stored("movement", {"space": np.array(["x", "z"], dtype="S")}), "2D positions"
     ),
-    "a giant": Case(giant, r"at most 10\d MB of `/tracks`.*found 160 MB"),
-    "a crowd": Case(crowd, r"at most .* MB of `/tracks`.*found 500 MB"),
-    "an unknown compression": Case(filtered, "32001"),
-    "two tables": Case(two_keys, "one, two"),
-    "an aborted write": Case(
-        stored("deeplabcut-h5", {"df_with_missing/table": None}), "aborted write"
+    "a giant": Case(
+        giant("f8", 1_000_000, 50_000, 250_000), r"at most 10\d MB of `/tracks`.*found 160 MB"
+    ),
+    "a crowd": Case(
+        giant("i1", 25_000_000, 1_000_000, 25_000_000),
+        r"at most .* MB of `/tracks`.*found 500 MB",
+    ),
+    "an unknown compression": Case(stored("deeplabcut-h5-fixed", filtered), "32001"),
+    "two tables": Case(
+        stored("deeplabcut-h5", lambda file: file.copy("df_with_missing", "one")), "df_w.*, one"
     ),
     "labels that are no pickle": Case(
         stored("deeplabcut-h5", {"df_with_missing/table@values_block_0_kind": np.bytes_(b"no")}),
         "expected .*, found ",
     ),
-    "another store": Case(
-        lambda folder: h5py.File(folder / "a.h5", "w").create_dataset("tracks", data=[0.0] * 3),
-        "tracks",
-    ),
+    "another store": sleap("tracks", tracks=[0.0] * 3),
 }
 
 
@@ -714,32 +697,25 @@ class Trap:
 
 
 @pytest.mark.parametrize(
-    "attribute", ["info", "values_block_0_kind", "non_index_axes", "index_kind", "of no use"]
+    "place", ["@info", "/table@values_block_0_kind", "@non_index_axes", "/table@of no use"]
 )
-def test_a_doctored_h5_runs_nothing(tmp_path, attribute):
+def test_a_doctored_h5_runs_nothing(tmp_path, place):
     """pandas.read_hdf runs what stands in `info` and others."""
     trap = np.bytes_(pickle.dumps(Trap(tmp_path / "trap"), 0))
-    place = "" if attribute in ("info", "non_index_axes") else "/table"
-    check(
-        Case(
-            stored("deeplabcut-h5", {f"df_with_missing{place}@{attribute}": trap}),
-            "do not trust this file",
-        ),
-        tmp_path,
-    )
+    doctored = stored("deeplabcut-h5", {f"df_with_missing{place}": trap})
+    check(Case(doctored, "do not trust this file"), tmp_path)
     assert not (tmp_path / "trap").exists()
     pickle.loads(bytes(trap))
     assert (tmp_path / "trap").exists(), "the trap works"
 
 
 FOREIGN = {
-    "gzip": (b"\x1f\x8b\x08", "gunzip"),
-    "zip": (b"PK\x03\x04", "unpack"),
-    "MATLAB 7.3": (b"MATLAB 7.3 MAT-file", "-v7"),
-    "netCDF 3": (b"CDF\x01\x00", "netCDF 4"),
+    "gzip": (b"\x1f\x8b\x08" + bytes(200), "gunzip"),
+    "zip": (b"PK\x03\x04" + bytes(200), "unpack"),
+    "MATLAB 7.3": (b"MATLAB 7.3 MAT-file" + bytes(200), "-v7"),
+    "netCDF 3": (b"CDF\x01\x00" + bytes(200), "netCDF 4"),
     "a pickle": (pickle.dumps(Trap(Path("trap"))), "expected .*found"),
     "a pickle of numpy": (b"\x93NUMPY" + pickle.dumps(Trap(Path("trap"))), "expected .*found"),
-    "nothing": (b"", "an empty file"),
     "all bytes": (bytes(range(256)), "one of:"),
     "words": (b"hello, world", "one of:"),
     "null": (b"null", "one of:"),
@@ -750,16 +726,14 @@ FOREIGN = {
 }
 
 
-@pytest.mark.parametrize("name", FOREIGN)
+@pytest.mark.parametrize(("content", "words"), FOREIGN.values(), ids=FOREIGN)
 @pytest.mark.parametrize("ending", ["json", "bin", "h5"])
-def test_another_file_is_named_with_what_to_do(tmp_path, monkeypatch, name, ending):
+def test_another_file_is_named_with_what_to_do(tmp_path, monkeypatch, content, words, ending):
     monkeypatch.chdir(tmp_path)
-    start, words = FOREIGN[name]
-    path = tmp_path / f"a.{ending}"
-    path.write_bytes(start + b"\0" * 200 * (name in ("gzip", "zip", "MATLAB 7.3", "netCDF 3")))
+    (tmp_path / f"a.{ending}").write_bytes(content)
     with pytest.raises(mc.FormatError, match=words) as refused:
-        mc.read_keypoints(path)
-    assert str(refused.value).startswith(f"{path}: expected ")
+        mc.read_keypoints(tmp_path / f"a.{ending}")
+    assert str(refused.value).startswith(f"{tmp_path / f'a.{ending}'}: expected ")
     assert not (tmp_path / "trap").exists()
 
 
@@ -774,6 +748,9 @@ BROKEN = {  # lists of a COCO file
     "an id twice": {"images": [{"id": 0, "file_name": f"{k}.png"} for k in range(2)]},
     "two sizes": {"images": [{"id": k, "width": 640 + k, "height": 480} for k in range(3)]},
     "a size of text": {"images": [{"id": k, "width": "wide", "height": 4} for k in range(3)]},
+    "a crowd": {
+        "annotations": [{"image_id": 0, "category_id": 1, "keypoints": [1, 2, 1] * 3}] * 1001
+    },
 }
 POINT = {  # fields of the first annotation
     "another length": {"keypoints": [1, 2, 1]},
@@ -783,42 +760,24 @@ POINT = {  # fields of the first annotation
     "huge numbers": {"keypoints": [10**400] * 9},
     "another image": {"image_id": 77},
 }
-CROWD = {"annotations": [{"image_id": 0, "category_id": 1, "keypoints": [1, 2, 1] * 3}] * 1001}
-Z = [
-    tuple("z" if label == "likelihood" else label for label in each) for each in dlc_columns(NAMES)
-]
-DOUBLE = [(*labels[:-1], labels[-1] * 2) for labels in dlc_columns(NAMES)]
-ONLY_X = dlc_columns(NAMES)[::3]
+SAID = "expected .+, found .+; "
 REFUSED = {
+    **{name: Case(text(coco(**lists)), SAID) for name, lists in BROKEN.items()},
     **{
-        name: Case(
-            text(coco([3, 4, 10], NAMES, POINTS, SCORES, **lists)), "expected .+, found .+; "
-        )
-        for name, lists in (*BROKEN.items(), ("a crowd", CROWD))
-    },
-    **{
-        name: annotated(
-            "expected .+, found .+; ",
-            lambda data, fields=fields: data["annotations"][0].update(fields),
-        )
+        name: annotated(SAID, lambda data, fields=fields: data["annotations"][0].update(fields))
         for name, fields in POINT.items()
     },
-    "3D": dlc("3D", columns=Z),
-    "another coordinate": dlc("expected", columns=DOUBLE),
-    "x without y": dlc("expected", columns=ONLY_X, values=dlc_values(P, C)[:, ::3]),
-    "a column twice": dlc("expected", columns=[*dlc_columns(NAMES)[:1], *dlc_columns(NAMES)[:-1]]),
-    "no data": dlc("expected", change=lambda x: x[:3]),
-    "no coords": dlc("expected", change=lambda x: [*x[:2], *x[3:]]),
-    "no body parts": dlc("expected", change=lambda x: [x[0], *x[2:]]),
-    "an empty heading": dlc(
-        "expected", change=lambda x: [x[0], x[1].replace("nose", "", 1), *x[2:]]
-    ),
-    "a word": dlc(
-        "expected", change=lambda x: [*x[:3], x[3].replace(x[3].split(",")[2], "abc"), *x[4:]]
-    ),
-    "a row without a number": dlc("expected", rows=["first", *FRAMES[1:]]),
-    "a quote without end": dlc("expected", change=lambda x: [*x, '"' + "x," * 200_000]),
-    "a header cell": row("scorer,", "expected"),
+    "3D": dlc("3D", header=columns(NAMES, (*COORDS[:2], "z"))),
+    "another coordinate": dlc(SAID, header=columns(NAMES, ("xx", "yy", "likelihood"))),
+    "x without y": dlc(SAID, header=columns(NAMES, ("x",)), values=VALUES[:, ::3]),
+    "a column twice": dlc(SAID, header=OF_ONE[[0, *range(8)]]),
+    "no data": dlc(SAID, change=lambda x: x[:3]),
+    "no coords": dlc(SAID, change=lambda x: [*x[:2], *x[3:]]),
+    "no body parts": dlc(SAID, change=lambda x: [x[0], *x[2:]]),
+    "an empty heading": dlc(SAID, change=lambda x: [x[0], x[1].replace("nose", "", 1), *x[2:]]),
+    "a row without a number": dlc(SAID, rows=["first", *FRAMES[1:]]),
+    "a quote without end": dlc(SAID, change=lambda x: [*x, '"' + "x," * 200_000]),
+    "a header cell": row("scorer,", SAID),
 }
 
 
@@ -844,20 +803,20 @@ def test_numbers_of_a_table_are_those_of_python_however_it_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
-@pytest.mark.parametrize("name", ["coco", "deeplabcut-csv"])
-def test_powershell_s_utf_16_is_read(tmp_path, name, encoding):
-    (path,) = write_sample(name, tmp_path, P, C)
+@pytest.mark.parametrize("path", ["coco/cam.json", "deeplabcut-csv/cam.csv"])
+def test_powershell_s_utf_16_is_read(tmp_path, path, encoding):
     mark = "\ufeff" * (encoding == "utf-16-be")
-    path.write_bytes((mark + path.read_text()).encode(encoding))
-    np.testing.assert_array_equal(mc.read_keypoints(path)[0].positions, P)
-    path.write_bytes(path.read_bytes()[:-1])
+    content = (mark + (CORPUS / "keypoints" / path).read_text()).encode(encoding)
+    text(content, "a")(tmp_path)
+    np.testing.assert_array_equal(mc.read_keypoints(tmp_path / "a")[0].positions, P2)
+    text(content[:-1], "a")(tmp_path)
     with pytest.raises(mc.FormatError):
-        mc.read_keypoints(path)
+        mc.read_keypoints(tmp_path / "a")
 
 
 def test_sleap_refuses_to_write_a_clock_that_starts_far_away(tmp_path):
-    write_sample("csv", tmp_path / "in", P, C)
-    late = mc.read_keypoints(tmp_path / "in", None, mc.ReadOptions(frame_offset={"cam": 42150}))
+    options = mc.ReadOptions(frame_offset={"cam": 42150})
+    late = mc.read_keypoints(CORPUS / "keypoints" / "csv", None, options)
     with pytest.raises(mc.MismatchError, match="near 0"):
         mc.write(late, tmp_path / "out", "sleap")
     assert not (tmp_path / "out").exists()
