@@ -97,6 +97,7 @@ TOML = {
         + "[board]\nkind = 'charuco'\n[metadata]\nunit = 'mm'\n",
         {"names": ["left", "7"], "unit": "mm", "size": (640, 480), "translation": [1, 2, 3]},
     ),
+    "a rotation vector": (PLAIN, {"rotation": Rotation.from_rotvec([0, 0, 0.5]).as_matrix()}),
     "a rotation that is a matrix": (edited(VECTOR, TURN.tolist()), {"rotation": TURN}),
     "a rotation that is rounded": (
         edited(VECTOR, TURN.round(12).tolist()),
