@@ -46,7 +46,7 @@ from mocap_calib_cli.names import WORLD
 from mocap_calib_cli.option_files import is_list
 from mocap_calib_cli.options import KEYPOINTS, SCALE, SHARED, STDIO
 from mocap_calib_cli.screen import Reporter
-from mocap_calib_cli.typed import Typed
+from mocap_calib_cli.typed import Texts, Typed
 
 # --- keypoints and recordings
 
@@ -105,18 +105,14 @@ def options_of_reading(reading: Mapping[str, Any], typed: Typed) -> Typed:
 
     reading: as run.json has it. What no option can be is left out.
     """
-    context = click.get_current_context()
-    found = {}
-    for name in _KEPT:
+    texts: Texts = {}
+    for name in set(_KEPT) - {*_OF_INTRINSICS, *typed.texts}:
         value = reading.get(name)
-        if name in typed.texts:
-            found[name] = getattr(typed, name)
-        elif (
-            isinstance(value, list if is_list(SHARED[name]) else str) and name not in _OF_INTRINSICS
-        ):
-            texts = tuple(map(str, value)) if isinstance(value, list) else value
-            found[name] = SHARED[name].process_value(context, texts)
-    return Typed(found)
+        if isinstance(value, list if is_list(SHARED[name]) else str):
+            texts[name] = tuple(map(str, value)) if isinstance(value, list) else value
+    return Typed({name: getattr(typed, name) for name in _KEPT if name in typed.texts}).replace(
+        texts
+    )
 
 
 def calibration_request(typed: Typed, output: Path) -> CalibrationRequest:

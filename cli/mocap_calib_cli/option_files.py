@@ -15,24 +15,23 @@ lines, and no values are constructed.
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from mocap_calib.errors import FormatError, MismatchError, suggest
 from mocap_calib_cli import values
-from mocap_calib_cli.options import STDIO
-
-if TYPE_CHECKING:
-    from yaml import Node
+from mocap_calib_cli.options import STDIO, option
+from mocap_calib_cli.typed import Texts
 
 USUAL_NAME = "recording.yaml"
 _MOST_CHARACTERS = 100_000  # PyYAML reads them in a tenth of a second; options take a few thousand
-_NOTHING = ("", "~", "null", "Null", "NULL")  # as YAML writes that there is no value
-_PLAIN = re.compile(r"[\w./]([\w./:+=,-]*[\w./+=,-])?")  # texts that need no quotes
+# texts that need no quotes: all but those by which YAML writes that there is no value
+_PLAIN = re.compile(r"(?!null$|Null$|NULL$)[\w./]([\w./:+=,-]*[\w./+=,-])?")
+_AS_TYPED = "write it as on the command line (cam1:5, without a blank), or remove the line"
 _HEAD = """\
 # Options of `mocap-calib {command}`: run it again with --config {name}
 # Paths are relative to this file. docs/recording-yaml.md has the rest.
@@ -46,49 +45,63 @@ _OTHERS = """
 def _use_file(context: click.Context, _: click.Parameter, path: Path | None) -> None:
     """Let what a file says take the place of defaults. Raises FormatError."""
     if path is not None and not context.resilient_parsing:
-        context.default_map = {**(context.default_map or {}), **read_file(path, context)[1]}
+        context.default_map = {**(context.default_map or {}), **read_file(path, context)}
 
 
-CONFIG = click.Option(
-    ["--config"],
-    type=values.FILE,
+CONFIG = option(
+    "--config",
+    values.FILE,
     metavar="FILE.yaml",
     is_eager=True,
     expose_value=False,
     callback=_use_file,
-    help=f"Read options from a file, usually {USUAL_NAME} (docs/recording-yaml.md); those of "
-    "the command line win.",
 )
-SAVE_CONFIG = click.Option(
-    ["--save-config"],
-    type=values.FILE,
-    metavar="FILE",
-    help="Write all options that were given to a file for --config, with the others as comments.",
-)
+SAVE_CONFIG = option("--save-config", values.FILE, metavar="FILE")
 
 
 # --- reading
 
 
-def read_file(path: Path, context: click.Context) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return what a file says of the parameters of a command: values and texts, by their names.
+def read_file(path: Path, context: click.Context) -> Texts:
+    """Return the texts that a file has for parameters of a command, by the names of these.
 
     Paths in it are relative to its folder.
 
     Raises FormatError, with the line, for what is not YAML, for names of no option, for a name that
     comes twice, and for values that the option does not take.
     """
-    found, texts = {}, {}
-    for key, param, nodes in _entries(path, params_by_key(context.command)):
-        given = tuple(_resolve(param.type, node.value, path.parent) for node in nodes)
+    params = params_by_key(context.command)
+    found: Texts = {}
+    for key, value in _pairs(path):
+        param = params.get(str(key.value))
+        if param is None:
+            remedy = suggest(_kind(key), params)
+            raise _refusal(path, key, "the name of an option", _kind(key), remedy)
         name = str(param.name)
-        texts[name] = given if is_list(param) else given[0]
+        if name in found:
+            remedy = "leave one out, or write the values as a list"
+            raise _refusal(path, key, "each option once", f"{key.value} twice", remedy)
+        listed = is_list(param) and value.id == "sequence" and value.value
+        nodes = value.value if listed else [value]
+        for node in nodes:
+            if node.id != "scalar" or node.tag.endswith(":null"):
+                expected = f"a value for {key.value}"
+                raise _refusal(path, node, expected, _kind(node), _AS_TYPED)
+        texts = tuple(
+            _change_path(param.type, node.value, lambda text: str(path.parent / text), path.parent)
+            for node in nodes
+        )
+        found[name] = texts if is_list(param) else texts[0]
+        node = nodes[0]
         try:
-            found[name] = param.process_value(context, texts[name])
+            for node in nodes:
+                param.type.convert(node.value, param, context)
+            param.process_value(context, found[name])
         except (click.BadParameter, MismatchError) as error:
-            wrong = next((each for each in nodes if _refuses(param, each, context)), nodes[0])
-            raise _refusal(path, wrong, *_explain(param, wrong, error), key=key) from None
-    return found, texts
+            raise _refuse_value(
+                f"{_place(path, node)}: {key.value}", param, node.value, error
+            ) from None
+    return found
 
 
 def params_by_key(command: click.Command) -> dict[str, click.Parameter]:
@@ -100,44 +113,11 @@ def params_by_key(command: click.Command) -> dict[str, click.Parameter]:
     return {
         max(param.opts, key=len).removeprefix("--"): param
         for param in params
-        if param not in (CONFIG, SAVE_CONFIG)
+        if param.name not in ("config", "save_config")
     }
 
 
-def _entries(
-    path: Path, params: Mapping[str, click.Parameter]
-) -> "Iterator[tuple[str, click.Parameter, list[Node]]]":
-    """Yield name, parameter and values of each option in a file. Raises FormatError."""
-    import yaml
-
-    seen: set[str] = set()
-    for key, value in _pairs(path):
-        if not isinstance(key, yaml.ScalarNode) or key.value not in params:
-            name = _kind(key)
-            remedy = suggest(name, params)
-            raise _refusal(path, key, "the name of an option", name, remedy)
-        name, param = key.value, params[key.value]
-        if name in seen:
-            remedy = "leave one out, or write the values as a list"
-            raise _refusal(path, key, "each option once", f"{name} twice", remedy)
-        seen.add(name)
-        listed = isinstance(value, yaml.SequenceNode)
-        nodes = value.value if listed else [value]
-        if not nodes:
-            raise _no_value(path, name, value)
-        for node in nodes:
-            if not isinstance(node, yaml.ScalarNode):
-                expected = f"a value for {name}, or a list of values"
-                remedy = "write cam1:5 without a blank after the colon, as on the command line"
-                raise _refusal(path, node, expected, _kind(node), remedy)
-            if node.style is None and node.value in _NOTHING:
-                raise _no_value(path, name, node)
-        if listed and not is_list(param):
-            raise _refusal(path, nodes[0], "one value", f"a list of {len(nodes)}", key=name)
-        yield name, param, nodes
-
-
-def _pairs(path: Path) -> "list[tuple[Node, Node]]":
+def _pairs(path: Path) -> list[tuple[Any, Any]]:
     """Return the keys and values of the mapping in a file. Raises FormatError."""
     import yaml
 
@@ -159,7 +139,8 @@ def _pairs(path: Path) -> "list[tuple[Node, Node]]":
         return []
     if not isinstance(node, yaml.MappingNode):
         raise _refusal(path, node, "lines `option: value`", _kind(node), "correct the file")
-    return node.value
+    pairs: list[tuple[Any, Any]] = node.value
+    return pairs
 
 
 def is_list(param: click.Parameter) -> bool:
@@ -167,78 +148,38 @@ def is_list(param: click.Parameter) -> bool:
     return param.multiple or param.nargs != 1
 
 
-def _refuses(param: click.Parameter, node: "Node", context: click.Context) -> bool:
-    """Return whether a parameter does not take a value."""
-    try:
-        param.type.convert(node.value, param, context)
-    except (click.BadParameter, MismatchError):
-        return True
-    return False
+def _place(path: Path, node: Any) -> str:
+    """Return a place in a file, with its line."""
+    return f"{path}:{node.start_mark.line + 1}"
 
 
-def _refusal(
-    path: Path,
-    node: "Node",
-    expected: str,
-    found: str,
-    remedy: str = "correct that line",
-    *,
-    key: str = "",
-) -> FormatError:
-    """Return the complaint about a place in a file, with its line. key: the name of the option."""
-    place = f"{path}:{node.start_mark.line + 1}"
-    return FormatError(f"{place}: {key}" if key else place, expected, found, remedy)
+def _refusal(path: Path, node: Any, expected: str, found: str, remedy: str) -> FormatError:
+    """Return the complaint about a place in a file."""
+    return FormatError(_place(path, node), expected, found, remedy)
 
 
-def _no_value(path: Path, name: str, node: "Node") -> FormatError:
-    """Return the complaint about an option without a value."""
-    return _refusal(path, node, f"a value for {name}", "none", "give one, or remove the line")
-
-
-def _explain(param: click.Parameter, node: "Node", error: Exception) -> tuple[str, str, str]:
-    """Return what was expected, what came and what to do, of a value that a parameter refuses."""
-    remedy = "correct that line"
+def _refuse_value(place: str, param: click.Parameter, text: str, error: Exception) -> FormatError:
+    """Return the complaint about a value that a parameter refuses."""
     if isinstance(error, MismatchError):
-        return error.expected, error.found, error.remedy
-    if isinstance(param.type, click.Choice):
-        return f"one of {', '.join(map(str, param.type.choices))}", node.value, remedy
-    if isinstance(param.type, type(click.BOOL)):
-        return "true or false", node.value, remedy
+        return FormatError(place, error.expected, error.found, error.remedy)
     expected, _, found = str(error).removeprefix("expected ").partition(", found ")
-    return expected, found or node.value, remedy
+    if isinstance(param.type, type(click.BOOL)):
+        expected = "true or false"
+    return FormatError(place, expected, found or text, "correct that line")
 
 
-def _kind(node: "Node") -> str:
+def _kind(node: Any) -> str:
     """Return what a node is, in words."""
-    import yaml
-
-    if isinstance(node, yaml.ScalarNode):
-        return node.value or "nothing"
-    return "a list" if isinstance(node, yaml.SequenceNode) else "a mapping"
+    if node.id == "scalar":
+        return "none" if node.tag.endswith(":null") else node.value
+    return f"a list of {len(node.value)}" if node.id == "sequence" else "a mapping"
 
 
 # --- paths
 
 
-def _resolve(kind: click.ParamType[Any], text: str, folder: Path) -> str:
-    """Return a value that stands in a file in `folder`, as the command line would say it here."""
-    return _change_path(kind, text, lambda path: str(folder / path), beginning=folder)
-
-
-def _relate(kind: click.ParamType[Any], text: str, folder: Path) -> str:
-    """Return a value of the command line, as a file in `folder` says it."""
-
-    def relate(path: str) -> str:
-        try:
-            return Path(os.path.relpath(path, folder)).as_posix()
-        except ValueError:  # on another drive of Windows
-            return str(Path(path).absolute())
-
-    return _change_path(kind, text, relate, beginning=Path())
-
-
 def _change_path(
-    kind: click.ParamType[Any], text: str, change: Callable[[str], str], *, beginning: Path
+    kind: click.ParamType[Any], text: str, change: Callable[[str], str], beginning: Path
 ) -> str:
     """Return a value with its path changed, where it is one; also of a `name=path` of keypoints.
 
@@ -264,11 +205,19 @@ def save_options(context: click.Context, path: Path) -> None:
     """
     from mocap_calib.io.atomic import write_bytes
 
+    def relate(text: str) -> str:
+        try:
+            return Path(os.path.relpath(text, path.parent)).as_posix()
+        except ValueError:  # on another drive of Windows
+            return str(Path(text).absolute())
+
     given, others = [], []
     for key, param in params_by_key(context.command).items():
         texts = context.meta["texts"].get(param.name)
         if texts:
-            given.append(_format(key, [_relate(param.type, text, path.parent) for text in texts]))
+            given.append(
+                _format(key, [_change_path(param.type, text, relate, Path()) for text in texts])
+            )
         else:
             others.append(_describe(param, key, context))
     head = _HEAD.format(command=context.info_name, name=path.name)
@@ -280,19 +229,18 @@ def save_options(context: click.Context, path: Path) -> None:
     write_bytes(path, content)
 
 
-def _format(key: str, texts: Iterable[str]) -> str:
+def _format(key: str, texts: Sequence[str]) -> str:
     """Return the lines that give an option these values."""
-    quoted = list(map(_quote, texts))
-    if len(quoted) == 1:
-        return f"{key}: {quoted[0]}\n"
-    return "".join([f"{key}:\n", *(f"  - {text}\n" for text in quoted)])
+    if len(texts) == 1:
+        return f"{key}: {_quote(texts[0])}\n"
+    return "".join([f"{key}:\n", *(f"  - {_quote(text)}\n" for text in texts)])
 
 
 def _quote(text: str) -> str:
     """Return a text as YAML has it: as it is where that can be read again, else in quotes."""
     import yaml
 
-    if _PLAIN.fullmatch(text) and text not in _NOTHING:
+    if _PLAIN.fullmatch(text):
         return text
     return yaml.dump(text, default_style='"', allow_unicode=True, width=10**6).strip()
 

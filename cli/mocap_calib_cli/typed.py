@@ -1,17 +1,22 @@
 """Commands of click: a function that gets what was typed, as one record of values.
 
-`@as_command("match", output_text("matches"), "rig", "quiet")` makes a command of a function, with
-these parameters in this order: names of shared options, or parameters of click that are its own.
+`@as_command("match", options.OUTPUT_TEXT, "rig", "quiet")` makes a command of a function, with
+these parameters in this order: names of shared options, or parameters that are its own. The
+docstring of the function is the help, also of single options: its lines `name: help`.
 """
 
+import inspect
 from collections.abc import Callable, Mapping
+from copy import copy
 from typing import Any
 
 import click
 from click.core import ParameterSource
 
-from mocap_calib_cli import numbers, values
-from mocap_calib_cli.options import SHARED, STDIO
+from mocap_calib_cli.options import HELP, SHARED, split_help
+
+# the texts of parameters, by the names of these: one, or those of a parameter with several values
+Texts = dict[str, str | tuple[str, ...]]
 
 
 class Typed:
@@ -32,10 +37,12 @@ class Typed:
             raise AttributeError(name)
         return () if getattr(SHARED[name], "multiple", False) else None
 
-    def replace(self, found: dict[str, Any], texts: Mapping[str, Any]) -> "Typed":
-        """Return this with other values, and the texts of these."""
-        more = {name: _list_texts(each) for name, each in texts.items()}
-        return Typed(vars(self) | found, self.texts | more)
+    def replace(self, texts: Texts) -> "Typed":
+        """Return this with the values of other texts. Raises click's BadParameter."""
+        context = click.get_current_context()
+        found = {name: SHARED[name].process_value(context, text) for name, text in texts.items()}
+        lists = {name: _list_texts(text) for name, text in texts.items()}
+        return Typed(vars(self) | found, self.texts | lists)
 
 
 Run = Callable[[Typed], int | None]
@@ -52,11 +59,10 @@ class Command(click.Command):
             ParameterSource.COMMANDLINE: typed,
             ParameterSource.DEFAULT_MAP: ctx.default_map or {},
         }
-        sources = {name: ctx.get_parameter_source(name) for name in ctx.params}
         ctx.meta["texts"] = {
             name: _list_texts(said[source][name])
-            for name, source in sources.items()
-            if source in said
+            for name in ctx.params
+            if (source := ctx.get_parameter_source(name)) in said
         }
         return rest
 
@@ -69,7 +75,7 @@ def _list_texts(value: Any) -> list[str]:
 
 
 def as_command(name: str, *params: str | click.Parameter) -> Callable[[Run], Command]:
-    """Make a command of a function; its docstring is the help.
+    """Make a command of a function.
 
     params: names of shared options, and parameters of its own.
     """
@@ -79,59 +85,11 @@ def as_command(name: str, *params: str | click.Parameter) -> Callable[[Run], Com
             context = click.get_current_context()
             context.exit(function(Typed(found, context.meta["texts"])) or 0)
 
-        return Command(
-            name,
-            params=[SHARED[each] if isinstance(each, str) else each for each in params],
-            callback=call,
-            help=function.__doc__,
-        )
+        about, helps = split_help(inspect.getdoc(function) or "")
+        own = [copy(SHARED[each] if isinstance(each, str) else each) for each in params]
+        for param in own:
+            if isinstance(param, click.Option):
+                param.help = (HELP | helps)[str(param.name)]
+        return Command(name, params=own, callback=call, help=about)
 
     return make
-
-
-# --- parameters that many commands have, each with a help of its own
-
-
-def output_text(what: str) -> click.Option:
-    """Return `-o FILE` of a command whose result is text: stdout unless a file is given."""
-    return click.Option(
-        ["-o", "--output"],
-        default=STDIO,
-        type=values.ANY_PATH,
-        metavar="FILE",
-        help=f"Where to write the {what}; - is stdout.",
-    )
-
-
-def output_file(what: str) -> click.Option:
-    """Return `-o FILE` of a command whose result is a file."""
-    return _output("FILE", what)
-
-
-def output_folder(what: str) -> click.Option:
-    """Return `-o OUT` of a command whose result is a folder."""
-    return _output("OUT", what)
-
-
-def _output(metavar: str, what: str) -> click.Option:
-    """Return a required `-o` with a path."""
-    return click.Option(
-        ["-o", "--output"], type=values.FILE, required=True, metavar=metavar, help=what
-    )
-
-
-def as_json(what: str) -> click.Option:
-    """Return `--json`."""
-    return click.Option(["--json", "as_json"], is_flag=True, help=what)
-
-
-def output_poses() -> click.Option:
-    """Return `-o FILE` of a command whose result is the poses of a recording."""
-    return output_file(
-        "Poses: a .h5 file, or a .csv file (several individuals go to NAME_0.csv, NAME_1.csv, ...)."
-    )
-
-
-def rate_of_poses(help: str) -> click.Option:
-    """Return `--fps` of a command that reads poses."""
-    return click.Option(["--fps"], type=numbers.POSITIVE, help=help)

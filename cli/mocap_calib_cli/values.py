@@ -77,33 +77,27 @@ class Written(click.ParamType[Any]):
 class PathOf(click.Path):
     """A file or folder; `missing` says what it is, and where to get it, when it was left out."""
 
-    def __init__(self, missing: str = "", **settings: Any) -> None:
-        super().__init__(**settings)
+    def __init__(self, missing: str | Callable[[], str] = "") -> None:
+        super().__init__()
         self.missing = missing
 
     def get_missing_message(
         self, param: click.Parameter, ctx: click.Context | None = None
     ) -> str | None:
         """Return the words that follow "Missing option"."""
-        return self.missing or None
+        return self.missing() if callable(self.missing) else self.missing or None
 
 
-class IntrinsicsPath(PathOf):
-    """The file of the cameras' intrinsics; its message lists the formats that are read."""
+def _describe_intrinsics() -> str:
+    """Return what intrinsics are, where to get them, and the formats that are read."""
+    from mocap_calib.io.camera_files import CAMERA_FORMATS
 
-    def get_missing_message(
-        self, param: click.Parameter, ctx: click.Context | None = None
-    ) -> str | None:
-        """Return what intrinsics are, where to get them, and the formats that are read."""
-        from mocap_calib.io.camera_files import CAMERA_FORMATS
-
-        return (
-            "Expected a file with the intrinsics of each camera (focal length, principal point, "
-            "lens distortion), found none; film a checkerboard or ChArUco board with each camera, "
-            "calibrate with anipose, caliscope, OpenCV, Kalibr or the like, and give the file that "
-            f"it writes. Formats: {', '.join(each.name for each in CAMERA_FORMATS)} "
-            "(docs/formats.md)."
-        )
+    return (
+        "Expected a file with the intrinsics of each camera (focal length, principal point, "
+        "lens distortion), found none; film a checkerboard or ChArUco board with each camera, "
+        "calibrate with anipose, caliscope, OpenCV, Kalibr or the like, and give the file that "
+        f"it writes. Formats: {', '.join(each.name for each in CAMERA_FORMATS)} (docs/formats.md)."
+    )
 
 
 class NameOrFile(Written):
@@ -122,7 +116,7 @@ KEYPOINTS = PathOf(
     "docs/formats.md lists the formats."
 )
 RECORDINGS = PathOf("Expected a folder for each recording, with its keypoint files.")
-INTRINSICS = IntrinsicsPath()
+INTRINSICS = PathOf(_describe_intrinsics)
 RIG = PathOf(
     "Expected a file that says where the cameras stand; give the cameras.yaml of `run`, or what "
     "`average` or `adjust` wrote."
@@ -141,95 +135,84 @@ FILE = click.Path(path_type=Path)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
-# --- shares
+# --- what is typed, as values; each reader raises ValueError for a text of another form
 
 
 def _share(text: str) -> float:
-    """Return the share that `5%` or `0.05` is. Raises ValueError."""
+    """Return the share that `5%` or `0.05` is."""
     text = text.strip()
     share = float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
-    if not 0 < share <= 1:
-        raise ValueError(share)
-    return share
+    return _allowed(share, 0 < share <= 1)
 
 
-PERCENTAGE = Written("SHARE", "a share of up to 100%, as 5% or 0.05", _share)
+def _allowed(value: Value, is_allowed: bool) -> Value:
+    """Return a value that is allowed."""
+    if not is_allowed:
+        raise ValueError(value)
+    return value
 
 
-# --- values of cameras, and known lengths
-
-
-def _numbers(text: str, count: int) -> list[float]:
-    """Return `count` numbers with commas between them. Raises ValueError."""
-    numbers = [float(part) for part in text.split(",")]
-    if len(numbers) != count or not all(abs(number) < _LARGEST for number in numbers):
-        raise ValueError(text)
-    return numbers
+def _number(text: str) -> float:
+    """Return a number of an exact size."""
+    number = float(text)
+    return _allowed(number, abs(number) < _LARGEST)
 
 
 def _whole(text: str) -> int:
-    """Return a whole number. Raises ValueError."""
-    (number,) = _numbers(text, 1)
-    if number % 1:
-        raise ValueError(text)
-    return int(number)
+    """Return a whole number."""
+    number = _number(text)
+    return int(_allowed(number, number % 1 == 0))
 
 
 def _positive(text: str) -> float:
-    """Return a number above 0. Raises ValueError."""
-    (number,) = _numbers(text, 1)
-    if number <= 0:
-        raise ValueError(text)
-    return number
+    """Return a number above 0."""
+    number = _number(text)
+    return _allowed(number, number > 0)
 
 
 def _degrees(text: str) -> int:
-    """Return by how many degrees an image is rotated. Raises ValueError."""
-    if (degrees := _whole(text)) not in (90, 180, 270):
-        raise ValueError(text)
-    return degrees
+    """Return by how many degrees an image is rotated."""
+    degrees = _whole(text)
+    return _allowed(degrees, degrees in (90, 180, 270))
 
 
 def _size(text: str) -> tuple[int, int]:
-    """Return the width and the height of `WxH`. Raises ValueError."""
+    """Return the width and the height of `WxH`."""
     width, height = map(_whole, text.lower().split("x"))
-    if min(width, height) <= 0:
-        raise ValueError(text)
-    return width, height
+    return _allowed((width, height), min(width, height) > 0)
 
 
 def _corner(text: str) -> tuple[float, float]:
-    """Return the x and the y of `X,Y`. Raises ValueError."""
-    x, y = _numbers(text, 2)
+    """Return the x and the y of `X,Y`."""
+    x, y = map(_number, text.split(","))
     return x, y
 
 
 def _of_camera(
-    read: Callable[[str], Value], text: str, *, of_all: bool = False
-) -> tuple[str, Value]:
-    """Return the camera and the value of `CAM:VALUE`. Raises ValueError.
+    read: Callable[[str], Value], *, of_all: bool = False
+) -> Callable[[str], tuple[str, Value]]:
+    """Return the reader of the camera and the value of `CAM:VALUE`.
 
     of_all: a value alone is that of all cameras, whose name is "".
     """
-    camera, _, value = text.rpartition(":")
-    if not camera and not of_all:
-        raise ValueError(text)
-    return camera, read(value)
+
+    def read_both(text: str) -> tuple[str, Value]:
+        camera, _, value = text.rpartition(":")
+        return _allowed(camera, bool(camera) or of_all), read(value)
+
+    return read_both
 
 
 def _two_cameras(text: str) -> tuple[str, str]:
-    """Return the cameras of `A,B`. Raises ValueError."""
+    """Return the cameras of `A,B`."""
     first, second = text.split(",")
-    if not first or not second or first == second:
-        raise ValueError(text)
-    return first, second
+    return _allowed((first, second), bool(first and second) and first != second)
 
 
 def _cue(kind: CueKind, text: str) -> ScaleCue:
-    """Return the known length of `[OF=]METRES[+-SIGMA]`. Raises ValueError."""
+    """Return the known length of `[OF=]METRES[+-SIGMA]`."""
     of, equals, value = text.rpartition("=")
-    if not of.strip() and (kind != "height" or equals):
-        raise ValueError(text)
+    _allowed(of, bool(of.strip()) or (kind == "height" and not equals))
     metres, stated, sigma = value.replace("±", "+-").partition("+-")
     return ScaleCue(kind, float(metres), float(sigma if stated else 0), of.strip())
 
@@ -246,25 +229,24 @@ def _pattern(text: str) -> str:
 
 
 def _frames(text: str) -> list[int]:
-    """Return the frame numbers of `100,200-210`, each once. Raises ValueError."""
+    """Return the frame numbers of `100,200-210`, each once."""
     found: set[int] = set()
     for part in text.split(","):
-        ends = part.strip().split("-")
-        if len(ends) > 2 or not all(end.isdecimal() for end in ends):
-            raise ValueError(text)
-        first, last = int(ends[0]), int(ends[-1])
-        if last < first:
-            raise ValueError(text)
-        found.update(range(first, last + 1))
+        first, dash, last = part.strip().partition("-")
+        frames = range(_count(first), _count(last if dash else first) + 1)
+        found.update(_allowed(frames, len(frames) > 0))
     return sorted(found)
 
 
+def _count(text: str) -> int:
+    """Return a number that is digits alone."""
+    return int(_allowed(text, text.isdecimal()))
+
+
 def _video(text: str) -> tuple[str, Path]:
-    """Return the camera and the file of `CAM=FILE`. Raises ValueError."""
+    """Return the camera and the file of `CAM=FILE`."""
     camera, _, path = text.partition("=")
-    if not camera or not path:
-        raise ValueError(text)
-    return camera, Path(path)
+    return _allowed((camera, Path(path)), bool(camera and path))
 
 
 def _comma_separated(text: str) -> tuple[str, ...]:
@@ -272,30 +254,23 @@ def _comma_separated(text: str) -> tuple[str, ...]:
     return tuple(text.split(","))
 
 
+PERCENTAGE = Written("SHARE", "a share of up to 100%, as 5% or 0.05", _share)
 CAMERA = Written("CAM")
 IMAGE_SIZE = Written(
     "WxH|CAM:WxH",
     "a width and a height above 0, as 1280x720",
-    partial(_of_camera, _size, of_all=True),
+    _of_camera(_size, of_all=True),
 )
-FRAME_OFFSET = Written(
-    "CAM:N", "camera:frames with a whole number, as cam1:-3", partial(_of_camera, _whole)
-)
-CROP_OFFSET = Written("CAM:X,Y", "camera:x,y, as cam1:640,0", partial(_of_camera, _corner))
-ROTATED = Written(
-    "CAM:DEG", "camera:degrees with 90, 180 or 270, as cam1:90", partial(_of_camera, _degrees)
-)
-RESIZED = Written(
-    "CAM:FACTOR", "camera:factor above 0, as cam1:0.5", partial(_of_camera, _positive)
-)
-MOVED = Written(
-    "CAM:FRAME", "camera:frame with a whole number, as cam1:500", partial(_of_camera, _whole)
-)
+FRAME_OFFSET = Written("CAM:N", "camera:frames with a whole number, as cam1:-3", _of_camera(_whole))
+CROP_OFFSET = Written("CAM:X,Y", "camera:x,y, as cam1:640,0", _of_camera(_corner))
+ROTATED = Written("CAM:DEG", "camera:degrees with 90, 180 or 270, as cam1:90", _of_camera(_degrees))
+RESIZED = Written("CAM:FACTOR", "camera:factor above 0, as cam1:0.5", _of_camera(_positive))
+MOVED = Written("CAM:FRAME", "camera:frame with a whole number, as cam1:500", _of_camera(_whole))
 EXCHANGED = Written("A,B", "two cameras, as cam1,cam2", _two_cameras)
 RATE = Written(
     "FPS|CAM:FPS",
     "frames per second above 0, or camera:frames per second, as cam1:25",
-    partial(_of_camera, _positive, of_all=True),
+    _of_camera(_positive, of_all=True),
 )
 HEIGHT = Written(
     "METRES|ID=METRES",

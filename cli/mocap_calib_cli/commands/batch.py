@@ -11,7 +11,7 @@ import click
 
 from mocap_calib_cli import numbers, option_files, options, values
 from mocap_calib_cli.commands.run import command as run
-from mocap_calib_cli.typed import Typed, as_command, as_json, output_folder
+from mocap_calib_cli.typed import Texts, Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
@@ -38,20 +38,12 @@ _REFUSED = "refused"  # stands for the verdict where files or data do not allow 
 
 @as_command(
     "batch",
-    output_folder("Folder to write: OUT/NAME of recording NAME."),
-    click.Argument(
-        ["recordings"], nargs=-1, required=True, type=values.RECORDINGS, metavar="RECORDINGS..."
-    ),
-    *options.calibration(
-        "As for `run`; first looked for in each recording's folder, then as a path for all."
-    ),
-    click.Option(
-        ["--jobs"],
-        type=numbers.COUNT,
-        default=1,
-        help="Recordings at a time, in processes of this machine.",
-    ),
-    as_json("Write the summary to stdout."),
+    options.OUTPUT_FOLDER,
+    options.argument("recordings", values.RECORDINGS, several=True),
+    options.CAMERAS_IF_ANY,
+    *options.CALIBRATION,
+    options.option("--jobs", numbers.COUNT, default=1),
+    options.AS_JSON,
 )
 def command(typed: Typed) -> int:
     """Calibrate many recordings as `run` does: one after the other, in processes, or on a cluster.
@@ -68,6 +60,11 @@ def command(typed: Typed) -> int:
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --layout body_25 --jobs 4
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
+
+    output: Folder to write: OUT/NAME of recording NAME.
+    cameras: As for `run`; first looked for in each recording's folder, then as a path for all.
+    jobs: Recordings at a time, in processes of this machine.
+    as_json: Write the summary to stdout.
     """
     from mocap_calib_cli import ending, outputs
     from mocap_calib_cli.screen import Reporter
@@ -113,19 +110,15 @@ def _make_requests(typed: Typed) -> "list[CalibrationRequest]":
 
     requests = []
     for name, folder in _name_recordings(typed.recordings).items():
-        keypoints, cameras = folder / "keypoints", folder / typed.cameras
-        paths = (str(keypoints if keypoints.is_dir() else folder),)
-        found: dict[str, Any] = {"keypoints": paths}
+        keypoints, cameras = folder / "keypoints", folder / (typed.cameras or "")
+        texts: Texts = {"keypoints": (str(keypoints if keypoints.is_dir() else folder),)}
         if typed.cameras and cameras.exists():
-            found["cameras"] = str(cameras)
-        texts: dict[str, Any] = {"keypoints": paths}
-        if (folder / option_files.USUAL_NAME).is_file():
-            own = option_files.read_file(folder / option_files.USUAL_NAME, click.Context(run))
-            holds = OF_RECORDINGS - typed.texts.keys()
-            for known, read in zip((found, texts), own, strict=True):
-                known.update({name: value for name, value in read.items() if name in holds})
-        asked = typed.replace(found, texts)
-        requests.append(inputs.calibration_request(asked, typed.output / name))
+            texts["cameras"] = str(cameras)
+        own = folder / option_files.USUAL_NAME
+        read = option_files.read_file(own, click.Context(run)) if own.is_file() else {}
+        holds = OF_RECORDINGS - typed.texts.keys()
+        texts |= {option: text for option, text in read.items() if option in holds}
+        requests.append(inputs.calibration_request(typed.replace(texts), typed.output / name))
     return requests
 
 

@@ -1,20 +1,13 @@
 """mocap-calib complete: fill the keypoints that were not seen."""
 
-import click
-
 from mocap_calib_cli import names, options
-from mocap_calib_cli.typed import Typed, as_command, output_folder
+from mocap_calib_cli.typed import Typed, as_command
 
 
 @as_command(
     "complete",
-    output_folder("Folder to write a keypoint file per camera to."),
-    click.Option(
-        ["--to"],
-        default="coco",
-        type=names.WRITTEN_KEYPOINT_FORMAT,
-        help="Format to write (docs/formats.md).",
-    ),
+    options.OUTPUT_FOLDER,
+    options.option("--to", names.WRITTEN_KEYPOINT_FORMAT, default="coco"),
     "cameras",
     *options.MODEL,
     *options.KEYPOINTS,
@@ -31,6 +24,9 @@ def command(typed: Typed) -> None:
     \b
     Example, in the folder examples/three_people:
       mocap-calib complete keypoints/ --cameras intrinsics.toml -o completed
+
+    output: Folder to write a keypoint file per camera to.
+    to: Format to write (docs/formats.md).
     """
     from mocap_calib.errors import count, describe_lost
     from mocap_calib.io.filled_table import FILLED_TABLE, format_filled_table

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mocap_calib_cli import names, options, values
-from mocap_calib_cli.options import STDIO
-from mocap_calib_cli.typed import Typed, as_command, rate_of_poses
+from mocap_calib_cli.options import RATE_OF_POSES, STDIO, argument, option
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.io.conversion import Conversion
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 # that say nothing of other kinds of files
 _READING = tuple(name for name in options.READING if name != "format")
 _INPUT = values.PathOf("Expected what to convert, then where to write it: INPUT... OUTPUT.")
+_UNITS = ("m", "cm", "mm")
 _OPTIONS_OF = {
     "poses": ("unit", "input_unit", "fps", "up"),
     "cameras": ("unit", "input_unit", "image_size"),
@@ -28,34 +29,14 @@ _OPTIONS_OF = {
 
 @as_command(
     "convert",
-    click.Argument(["inputs"], nargs=-1, required=True, type=_INPUT, metavar="INPUT..."),
-    click.Argument(["output"], type=values.ANY_PATH, metavar="OUTPUT"),
-    click.Option(
-        ["--from", "format"],
-        type=names.FORMAT,
-        help="Format of INPUT, where its content does not show it; needed for stdin.",
-    ),
-    click.Option(
-        ["--to"],
-        type=names.WRITTEN_FORMAT,
-        help="Format of OUTPUT, where the ending of its name does not say it.",
-    ),
-    click.Option(
-        ["--unit"],
-        type=click.Choice(["m", "cm", "mm"]),
-        help="Unit of the lengths in OUTPUT; those of INPUT must be known.",
-    ),
-    click.Option(
-        ["--input-unit"],
-        type=click.Choice(["m", "cm", "mm"]),
-        help="What a length of 1 is in INPUT, where a file of another program does not say.",
-    ),
-    rate_of_poses("Frames per second of poses, where the file does not say."),
-    click.Option(
-        ["--up"],
-        type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]),
-        help="The axis of INPUT's world that points up: poses are turned so that it is y.",
-    ),
+    argument("inputs", _INPUT, "INPUT...", several=True),
+    argument("output", values.ANY_PATH),
+    option("--from format", names.FORMAT),
+    option("--to", names.WRITTEN_FORMAT),
+    option("--unit", _UNITS),
+    option("--input-unit", _UNITS),
+    RATE_OF_POSES,
+    option("--up", ("x", "y", "z", "-x", "-y", "-z")),
     *_READING,
     "quiet",
 )
@@ -74,6 +55,13 @@ def command(typed: Typed) -> None:
       mocap-calib convert keypoints/ openpose --to openpose
       mocap-calib convert openpose/ again --to csv --layout coco_17
       mocap-calib convert - - --from anipose --to nerfstudio <out/calibration.toml >nerf.json
+
+    format: Format of INPUT, where its content does not show it; needed for stdin.
+    to: Format of OUTPUT, where the ending of its name does not say it.
+    unit: Unit of the lengths in OUTPUT; those of INPUT must be known.
+    input_unit: What a length of 1 is in INPUT, where a file of another program does not say.
+    fps: Frames per second of poses, where the file does not say.
+    up: The axis of INPUT's world that points up: poses are turned so that it is y.
     """
     from mocap_calib.errors import describe_lost
     from mocap_calib.io import kinds

@@ -5,19 +5,17 @@ from typing import Any
 
 import click
 
+from mocap_calib_cli.options import AS_JSON, option
+from mocap_calib_cli.typed import Typed, as_command
+
 _REPORT = (
     "attach to a bug report: the command, all its output, run.json if there is one, and the "
     "output of mocap-calib doctor --json"
 )
 
 
-@click.command(name="doctor")
-@click.option("--no-self-test", is_flag=True, help="Do not calibrate the small recording.")
-@click.option(
-    "--json", "as_json", is_flag=True, help="All that was found as JSON, for a bug report."
-)
-@click.pass_context
-def command(context: click.Context, no_self_test: bool, as_json: bool) -> None:
+@as_command("doctor", option("--no-self-test"), AS_JSON)
+def command(typed: Typed) -> int:
     """Check the machine, the installed packages and the models, and calibrate a known recording.
 
     The recording is simulated and takes some seconds: its result is compared with the truth.
@@ -27,15 +25,18 @@ def command(context: click.Context, no_self_test: bool, as_json: bool) -> None:
     Example:
       mocap-calib doctor
       mocap-calib doctor --json >doctor.json
+
+    no_self_test: Do not calibrate the small recording.
+    as_json: All that was found as JSON, for a bug report.
     """
     from mocap_calib.doctor import examine
 
-    found = examine(self_test=not no_self_test)
-    if as_json:
+    found = examine(self_test=not typed.no_self_test)
+    if typed.as_json:
         click.echo(json.dumps(found, indent=1, allow_nan=False))
     else:
         _show(found)
-    context.exit(int(bool(found["findings"])))
+    return int(bool(found["findings"]))
 
 
 def _show(found: dict[str, Any]) -> None:

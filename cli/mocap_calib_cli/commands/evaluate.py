@@ -6,20 +6,15 @@ from typing import Any
 import click
 
 from mocap_calib_cli import values
-from mocap_calib_cli.typed import Typed, as_command, as_json
+from mocap_calib_cli.options import AS_JSON, argument, option
+from mocap_calib_cli.typed import Typed, as_command
 
 
 @as_command(
     "evaluate",
-    click.Argument(["rig"], type=values.RIG, metavar="CAMERAS"),
-    click.Option(
-        ["--reference"],
-        required=True,
-        type=values.REFERENCE,
-        metavar="REFERENCE",
-        help="File with the reference calibration; - reads stdin.",
-    ),
-    as_json("Figures as JSON instead of a table."),
+    argument("rig", values.RIG, "CAMERAS"),
+    option("--reference", values.REFERENCE, required=True, metavar="REFERENCE"),
+    AS_JSON,
 )
 def command(typed: Typed) -> None:
     """Compare CAMERAS with a reference calibration.
@@ -34,6 +29,9 @@ def command(typed: Typed) -> None:
     Example, in the folder examples/three_people:
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
       mocap-calib evaluate out/cameras.yaml --reference reference.toml --json
+
+    reference: File with the reference calibration; - reads stdin.
+    as_json: Figures as JSON instead of a table.
     """
     from mocap_calib.verdict.evaluation import evaluate, evaluation_to_dict
     from mocap_calib_cli import inputs

@@ -6,6 +6,7 @@ import click
 
 from mocap_calib.synthetic.config import EXAMPLES
 from mocap_calib_cli import values
+from mocap_calib_cli.options import Word, argument, option
 from mocap_calib_cli.typed import Typed, as_command
 
 _ABOUT = {
@@ -15,25 +16,10 @@ _ABOUT = {
 }
 
 
-def _known(name: str) -> str:
-    """Return the name of an example. Raises ValueError."""
-    if name not in EXAMPLES:
-        raise ValueError(name)
-    return name
-
-
-_NAME = values.Written("[NAME]", f"one of {', '.join(EXAMPLES)}", _known, offers=lambda: _ABOUT)
-
-
 @as_command(
     "example",
-    click.Argument(["name"], required=False, type=_NAME),
-    click.Option(
-        ["-o", "--output"],
-        type=values.FOLDER,
-        metavar="DIR",
-        help="Folder to write; made when missing.  [default: NAME]",
-    ),
+    argument("name", Word(tuple(EXAMPLES)), "[NAME]", required=False),
+    option("-o --output", values.FOLDER, metavar="DIR"),
     "quiet",
 )
 def command(typed: Typed) -> None:
@@ -47,6 +33,8 @@ def command(typed: Typed) -> None:
     Example:
       mocap-calib example
       mocap-calib example dog -o dog
+
+    output: Folder to write; made when missing. [default: NAME]
     """
     if typed.name is None:
         for known, about in _ABOUT.items():

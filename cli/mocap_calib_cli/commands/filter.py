@@ -4,7 +4,10 @@ import click
 
 from mocap_calib.config import FILTER_METHODS, FilterConfig
 from mocap_calib_cli import names, numbers, values
-from mocap_calib_cli.typed import Typed, as_command, output_file, rate_of_poses
+from mocap_calib_cli.options import OUTPUT_FILE, RATE_OF_POSES, argument, option
+from mocap_calib_cli.typed import Typed, as_command
+
+_DEFAULT = FilterConfig()
 
 
 def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
@@ -18,50 +21,21 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
 
 @as_command(
     "filter",
-    click.Argument(["poses"], type=values.POSES, metavar="POSES"),
-    output_file("The filtered poses; the ending of the name says the format."),
-    click.Option(
-        ["--to"],
-        type=names.WRITTEN_FORMAT,
-        help="Format of the output, where the ending of its name does not say it. [default: "
-        "poses-h5 for .h5]",
-    ),
-    click.Option(
-        ["--method"],
-        type=click.Choice(FILTER_METHODS),
-        default=FilterConfig.method,
-        help="butterworth (low pass, forwards and backwards: no delay), median, or savgol "
-        "(Savitzky-Golay).",
-    ),
-    click.Option(
-        ["--cutoff"],
-        type=numbers.POSITIVE,
-        default=FilterConfig.cutoff,
-        metavar="HZ",
-        help="Of butterworth; needs the frames per second.",
-    ),
-    click.Option(
-        ["--order"],
-        type=click.IntRange(min=2),
+    argument("poses", values.POSES),
+    OUTPUT_FILE,
+    option("--to", names.WRITTEN_FORMAT),
+    option("--method", FILTER_METHODS, default=_DEFAULT.method),
+    option("--cutoff", numbers.POSITIVE, default=_DEFAULT.cutoff, metavar="HZ"),
+    option("--order", click.IntRange(min=2), callback=_check_parity, default=_DEFAULT.order),
+    option(
+        "--window",
+        numbers.COUNT,
         callback=_check_parity,
-        default=FilterConfig.order,
-        help="Of butterworth, both directions together: an even number.",
-    ),
-    click.Option(
-        ["--window"],
-        type=numbers.COUNT,
-        callback=_check_parity,
-        default=FilterConfig.window,
+        default=_DEFAULT.window,
         metavar="FRAMES",
-        help="Of median and savgol: an odd number.",
     ),
-    click.Option(
-        ["--polynomial"],
-        type=numbers.COUNT,
-        default=FilterConfig.polynomial,
-        help="Order of savgol's.",
-    ),
-    rate_of_poses("Frames per second, where the file does not say."),
+    option("--polynomial", numbers.COUNT, default=_DEFAULT.polynomial),
+    RATE_OF_POSES,
     "quiet",
 )
 def command(typed: Typed) -> None:
@@ -74,6 +48,17 @@ def command(typed: Typed) -> None:
     Example:
       mocap-calib filter out/poses3d.h5 -o filtered.h5 --cutoff 6 --fps 60
       mocap-calib filter poses.trc -o filtered.trc --method median --window 5
+
+    output: The filtered poses; the ending of the name says the format.
+    to: Format of the output, where the ending of its name does not say it. [default: poses-h5 for
+        .h5]
+    method: butterworth (low pass, forwards and backwards: no delay), median, or savgol
+        (Savitzky-Golay).
+    cutoff: Of butterworth; needs the frames per second.
+    order: Of butterworth, both directions together: an even number.
+    window: Of median and savgol: an odd number.
+    polynomial: Order of savgol's.
+    fps: Frames per second, where the file does not say.
     """
     import math
     from dataclasses import replace

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from mocap_calib_cli import options
-from mocap_calib_cli.typed import Typed, as_command, as_json
+from mocap_calib_cli.typed import Typed, as_command
 
 _COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
 _COLUMNS = {  # heading -> what it means
@@ -29,16 +29,10 @@ _LISTED_GAPS = 5
 @as_command(
     "inspect",
     *options.KEYPOINTS,
-    options.intrinsics_if_any(
-        "The cameras' intrinsics, to see whether they and the keypoints go together."
-    ),
+    options.CAMERAS_IF_ANY,
     "skeleton",
-    click.Option(
-        ["--sync"],
-        is_flag=True,
-        help="Find out whether the clocks of the cameras differ, which takes some seconds.",
-    ),
-    as_json("Write everything as JSON."),
+    options.option("--sync"),
+    options.AS_JSON,
 )
 def command(typed: Typed) -> int:
     """Say what is in KEYPOINTS, and what would make a run fail.
@@ -51,6 +45,10 @@ def command(typed: Typed) -> int:
     Example:
       mocap-calib inspect keypoints/ --cameras intrinsics.toml
       mocap-calib inspect openpose/ --layout body_25b --json
+
+    cameras: The cameras' intrinsics, to see whether they and the keypoints go together.
+    sync: Find out whether the clocks of the cameras differ, which takes some seconds.
+    as_json: Write everything as JSON.
     """
     report = _inspect(typed)
     if typed.sync and not _is_critical(report):

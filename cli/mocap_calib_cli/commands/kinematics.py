@@ -2,22 +2,16 @@
 
 from pathlib import Path
 
-import click
-
-from mocap_calib_cli import names, values
-from mocap_calib_cli.typed import Typed, as_command, output_folder, rate_of_poses
+from mocap_calib_cli import names, options, values
+from mocap_calib_cli.typed import Typed, as_command
 
 
 @as_command(
     "kinematics",
-    click.Argument(["poses"], nargs=-1, required=True, type=values.POSES, metavar="POSES..."),
-    output_folder("Folder to write the tables to; made when missing."),
-    click.Option(
-        ["--from", "format"],
-        type=names.POSE_FORMAT,
-        help="Format of POSES, where their content does not show it.",
-    ),
-    rate_of_poses("Frames per second, where the file does not say."),
+    options.argument("poses", values.POSES, several=True),
+    options.OUTPUT_FOLDER,
+    options.option("--from format", names.POSE_FORMAT),
+    options.RATE_OF_POSES,
     "skeleton",
     "quiet",
 )
@@ -34,6 +28,10 @@ def command(typed: Typed) -> None:
     Example, in the folder examples/three_people:
       mocap-calib kinematics out --fps 30 -o out/kinematics
       mocap-calib kinematics anna.trc -o anna
+
+    output: Folder to write the tables to; made when missing.
+    format: Format of POSES, where their content does not show it.
+    fps: Frames per second, where the file does not say.
     """
     from mocap_calib.errors import count
     from mocap_calib.io.conversion import load_pose_sources

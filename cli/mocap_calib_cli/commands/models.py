@@ -4,13 +4,14 @@ import json
 
 import click
 
-from mocap_calib_cli.typed import Typed, as_command, as_json
+from mocap_calib_cli.options import AS_JSON
+from mocap_calib_cli.typed import Typed, as_command
 
 # of the RMS radius of the visible pose
 _ERRORS = {"joint_3d": "3D error", "steered_2d": "steered", "completed_2d": "completed"}
 
 
-@as_command("models", as_json("Write the whole model cards."))
+@as_command("models", AS_JSON)
 def command(typed: Typed) -> None:
     """List the shipped models: their joints, training data, terms, and errors.
 
@@ -22,6 +23,8 @@ def command(typed: Typed) -> None:
     \b
     Example:
       mocap-calib models
+
+    as_json: Write the whole model cards.
     """
     from mocap_calib.lift.lifter import models
     from mocap_calib.recording.joints import load_skeleton

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib_cli import options, values
-from mocap_calib_cli.typed import Typed, as_command, output_folder
+from mocap_calib_cli.options import OUTPUT_FOLDER, argument, option
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,28 +33,11 @@ def _check_cameras(
 
 @as_command(
     "overlay",
-    click.Argument(["results"], type=values.FILE, metavar="OUT"),
-    click.Option(
-        ["--video"],
-        type=values.VIDEO,
-        multiple=True,
-        required=True,
-        callback=_check_cameras,
-        help="Video of a camera; once for each camera that is wanted.",
-    ),
-    output_folder("Folder to write; made when missing."),
-    click.Option(
-        ["--frames"],
-        type=values.FRAMES,
-        help="Write pictures (PNG) of these frames, as poses3d.h5 numbers them, not videos.",
-    ),
-    click.Option(
-        ["--keypoints"],
-        type=values.ANY_PATH,
-        multiple=True,
-        metavar="PATH",
-        help="Keypoints, as `run` took them. [default: the files that the run read]",
-    ),
+    argument("results", values.FILE, "OUT"),
+    option("--video", values.VIDEO, multiple=True, required=True, callback=_check_cameras),
+    OUTPUT_FOLDER,
+    option("--frames", values.FRAMES),
+    option("--keypoints", values.ANY_PATH, multiple=True, metavar="PATH"),
     *_READING,
     "crop_offset",
     "quiet",
@@ -73,6 +57,10 @@ def command(typed: Typed) -> None:
     Example:
       mocap-calib overlay out --video cam1=cam1.mp4 --video cam2=cam2.mp4 -o overlay
       mocap-calib overlay out --video cam1=cam1.mp4 --frames 100,200-210 -o pictures
+
+    video: Video of a camera; once for each camera that is wanted.
+    frames: Write pictures (PNG) of these frames, as poses3d.h5 numbers them, not videos.
+    keypoints: Keypoints, as `run` took them. [default: the files that the run read]
     """
     from mocap_calib.overlay.make import make_overlays
     from mocap_calib.overlay.results import read_results

@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from mocap_calib_cli import options, values
+from mocap_calib_cli.options import argument, option
 from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
@@ -15,20 +14,10 @@ if TYPE_CHECKING:
 
 @as_command(
     "report",
-    click.Argument(["results"], type=values.ANY_PATH, metavar="OUT"),
-    click.Option(
-        ["-o", "--output"],
-        type=values.FILE,
-        metavar="FILE",
-        help="The page. [default: report.html in OUT, and in the folder of each further group]",
-    ),
-    click.Option(
-        ["--reference"],
-        type=values.RIG,
-        metavar="CAMERAS",
-        help="File or folder with another rig of these cameras, to be laid over this one.",
-    ),
-    click.Argument(["keypoints"], nargs=-1, type=values.KEYPOINTS, metavar="[KEYPOINTS]..."),
+    argument("results", values.ANY_PATH, "OUT"),
+    option("-o --output", values.FILE, metavar="FILE"),
+    option("--reference", values.RIG, metavar="CAMERAS"),
+    argument("keypoints", values.KEYPOINTS, "[KEYPOINTS]...", several=True, required=False),
     *options.READING,
     "skeleton",
     "quiet",
@@ -46,6 +35,9 @@ def command(typed: Typed) -> None:
       mocap-calib report out
       mocap-calib report out --reference board.toml -o compared.html
       mocap-calib report out keypoints/
+
+    output: The page. [default: report.html in OUT, and in the folder of each further group]
+    reference: File or folder with another rig of these cameras, to be laid over this one.
     """
     from mocap_calib.html_report.source import Reference
     from mocap_calib.io.results.group import PAGE

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib_cli import option_files, options
-from mocap_calib_cli.typed import Typed, as_command, as_json, output_folder
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.job.results import WrittenGroup
@@ -21,13 +21,11 @@ _NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video 
 
 @as_command(
     "run",
-    output_folder("Folder to write; made when missing."),
+    options.OUTPUT_FOLDER,
     "keypoints",
-    *options.calibration(
-        "File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
-        "- reads stdin. Without it they are estimated from the recording."
-    ),
-    as_json("Write the content of run.json to stdout as well."),
+    options.CAMERAS_IF_ANY,
+    *options.CALIBRATION,
+    options.AS_JSON,
     option_files.CONFIG,
     option_files.SAVE_CONFIG,
 )
@@ -60,6 +58,14 @@ def command(typed: Typed) -> int:
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --sync check
       mocap-calib run keypoints/ --image-size 1920x1080 -o out --save-config recording.yaml
       mocap-calib run --config recording.yaml
+
+    cameras: File or folder with the cameras' intrinsics, in any format of docs/formats.md; - reads
+        stdin. Without it they are estimated from the recording.
+    as_json: Write the content of run.json to stdout as well.
+    config: Read options from a file, usually recording.yaml (docs/recording-yaml.md); those of the
+        command line win.
+    save_config: Write all options that were given to a file for --config, with the others as
+        comments.
     """
     gc.disable()  # what is imported stays: to look for garbage among it takes a seventh of the time
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results

@@ -6,9 +6,7 @@ from mocap_calib_cli import options, values
 from mocap_calib_cli.typed import Typed, as_command
 
 
-@as_command(
-    "scale", click.Argument(["output"], type=values.FILE, metavar="OUT"), *options.SCALE, "quiet"
-)
+@as_command("scale", options.argument("output", values.FILE, "OUT"), *options.SCALE, "quiet")
 def command(typed: Typed) -> None:
     """Set the scale of the results in OUT, which a run wrote, by lengths that you know.
 

@@ -8,11 +8,11 @@ import click
 
 from mocap_calib.synthetic.config import ANIMAL_MOTION, SimulateConfig
 from mocap_calib_cli import numbers, values
+from mocap_calib_cli.options import option
 from mocap_calib_cli.typed import Typed, as_command
 
 _DEFAULT = SimulateConfig()
 _FLAGS = {"noise_px": "--noise", "arc_deg": "--arc"}  # where the field is not called as the option
-_FIELDS = {flag: name for name, flag in _FLAGS.items()}
 _KINDS = ("people", *ANIMAL_MOTION)
 _SAID_APART = ("people", "animals", "size", "shuffle", "seed")
 
@@ -30,67 +30,31 @@ def _read_kind(text: str) -> tuple[str, int]:
 _KIND = values.Written("KIND[:N]", read=_read_kind, offers=lambda: dict.fromkeys(_KINDS, ""))
 
 
-def _option(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> click.Option:
+def _option(flags: str, kind: Any, **more: Any) -> click.Option:
     """Return an option whose default is that of the scene."""
-    name = _FIELDS.get(flag, flag.removeprefix("--").replace("-", "_"))
-    default = getattr(_DEFAULT, name)
-    return click.Option([flag, name], type=kind, default=default, help=help, **more)
+    found = option(flags, kind, **more)
+    found.default = getattr(_DEFAULT, str(found.name))
+    return found
 
 
 @as_command(
     "simulate",
-    click.Option(
-        ["-o", "--output"],
-        type=values.FOLDER,
-        required=True,
-        metavar="OUT",
-        help="Folder to write; made when missing.",
-    ),
-    _option("--cameras", numbers.COUNT, "Number of cameras around the room."),
-    click.Option(
-        ["--people"],
-        type=numbers.COUNT,
-        help="Number of people who walk about and gesture.  [default: 3; with --kind: none]",
-    ),
-    click.Option(
-        ["--kind"],
-        type=_KIND,
-        multiple=True,
-        help="Who goes about, and how many: people, quadruped (a dog), rodent (a rat) or bird (a "
-        "pigeon); may be repeated.",
-    ),
-    _option("--frames", numbers.COUNT, "Length of the recording."),
-    _option("--fps", numbers.POSITIVE, "Frames a second."),
-    _option("--noise", numbers.NOT_NEGATIVE, "RMS error of a coordinate.", metavar="PIXELS"),
-    _option("--missing", numbers.SHARE, "Share of joints that are not found."),
-    _option("--outliers", numbers.SHARE, "Share of joints that are found somewhere else."),
-    _option("--false-detections", numbers.SHARE, "Share of images with a detection of nobody."),
-    _option(
-        "--distortion", click.Choice(["none", "brown", "fisheye"]), "Distortion of the lenses."
-    ),
-    _option(
-        "--layout",
-        click.Choice(["coco17", "all"]),
-        "Joints of people that the detector finds; of animals it finds all.",
-    ),
-    _option(
-        "--radius",
-        numbers.POSITIVE,
-        "From the middle to the cameras.  [default: 4.5; less for animals alone]",
-        metavar="METRES",
-    ),
-    _option(
-        "--arc",
-        numbers.Number(min=0, max=360),
-        "Over which cameras are spread.",
-        metavar="DEGREES",
-    ),
-    click.Option(
-        ["--shuffle/--no-shuffle"],
-        default=_DEFAULT.shuffle,
-        help="Put the detections of each image in random order.",
-    ),
-    _option("--seed", numbers.SEED, "The same seed gives the same bytes."),
+    option("-o --output", values.FOLDER, required=True, metavar="OUT"),
+    _option("--cameras", numbers.COUNT),
+    option("--people", numbers.COUNT),
+    option("--kind", _KIND, multiple=True),
+    _option("--frames", numbers.COUNT),
+    _option("--fps", numbers.POSITIVE),
+    _option("--noise noise_px", numbers.NOT_NEGATIVE, metavar="PIXELS"),
+    _option("--missing", numbers.SHARE),
+    _option("--outliers", numbers.SHARE),
+    _option("--false-detections", numbers.SHARE),
+    _option("--distortion", ("none", "brown", "fisheye")),
+    _option("--layout", ("coco17", "all")),
+    _option("--radius", numbers.POSITIVE, metavar="METRES"),
+    _option("--arc arc_deg", numbers.Number(min=0, max=360), metavar="DEGREES"),
+    option("--shuffle/--no-shuffle", default=_DEFAULT.shuffle),
+    _option("--seed", numbers.SEED),
     "quiet",
 )
 def command(typed: Typed) -> None:
@@ -103,6 +67,23 @@ def command(typed: Typed) -> None:
       mocap-calib simulate -o scene --cameras 6 --people 2 --distortion brown
       mocap-calib simulate -o scene --kind rodent:2
       mocap-calib simulate -o scene --kind people:2 --kind quadruped
+
+    cameras: Number of cameras around the room.
+    people: Number of people who walk about and gesture. [default: 3; with --kind: none]
+    kind: Who goes about, and how many: people, quadruped (a dog), rodent (a rat) or bird (a
+        pigeon); may be repeated.
+    frames: Length of the recording.
+    fps: Frames a second.
+    noise_px: RMS error of a coordinate.
+    missing: Share of joints that are not found.
+    outliers: Share of joints that are found somewhere else.
+    false_detections: Share of images with a detection of nobody.
+    distortion: Distortion of the lenses.
+    layout: Joints of people that the detector finds; of animals it finds all.
+    radius: From the middle to the cameras. [default: 4.5; less for animals alone]
+    arc_deg: Over which cameras are spread.
+    shuffle: Put the detections of each image in random order.
+    seed: The same seed gives the same bytes.
     """
     from mocap_calib.errors import count
     from mocap_calib.synthetic.scene import simulate

@@ -2,16 +2,14 @@
 
 from pathlib import Path
 
-import click
-
 from mocap_calib_cli import options, values
-from mocap_calib_cli.options import STDIO
-from mocap_calib_cli.typed import Typed, as_command, output_poses, output_text
+from mocap_calib_cli.options import OUTPUT_FILE, OUTPUT_TEXT, STDIO, argument, option
+from mocap_calib_cli.typed import Typed, as_command
 
 
 @as_command(
     "pairwise",
-    output_text("pairs (JSON)"),
+    OUTPUT_TEXT,
     "cameras",
     *options.MODEL,
     "pairs",
@@ -29,6 +27,8 @@ def pairwise(typed: Typed) -> None:
     Example, in the folder examples/three_people:
       mocap-calib pairwise keypoints/ --cameras intrinsics.toml -o pairs.json
       mocap-calib pairwise keypoints/ --cameras intrinsics.toml --solver five-point -o b.json
+
+    output: Where to write the pairs (JSON); - is stdout.
     """
     from mocap_calib.config import Config, ViewGraphConfig
     from mocap_calib.io.results.pairs_json import pairs_to_json
@@ -53,8 +53,8 @@ def pairwise(typed: Typed) -> None:
 
 @as_command(
     "average",
-    click.Argument(["pairs"], type=values.PAIRS, metavar="PAIRS"),
-    output_text("cameras (YAML)"),
+    argument("pairs", values.PAIRS),
+    OUTPUT_TEXT,
     "quiet",
 )
 def average(typed: Typed) -> None:
@@ -66,6 +66,8 @@ def average(typed: Typed) -> None:
     Example, in the folder examples/three_people:
       mocap-calib average pairs.json -o rig.yaml
       mocap-calib pairwise keypoints/ --cameras intrinsics.toml | mocap-calib average -
+
+    output: Where to write the cameras (YAML); - is stdout.
     """
     from mocap_calib.io.file import decode, read_bytes
     from mocap_calib.io.formats.own_cameras import format_cameras_yaml
@@ -90,7 +92,7 @@ def average(typed: Typed) -> None:
 
 @as_command(
     "match",
-    output_text("matches (CSV)"),
+    OUTPUT_TEXT,
     "rig",
     *options.MODEL,
     "individuals",
@@ -106,6 +108,8 @@ def match(typed: Typed) -> None:
     \b
     Example, in the folder examples/three_people:
       mocap-calib match keypoints/ --rig out/cameras.yaml -o matches.csv
+
+    output: Where to write the matches (CSV); - is stdout.
     """
     from mocap_calib.config import Config, MatchingConfig
     from mocap_calib.io.results.matches_csv import matches_csv
@@ -125,13 +129,8 @@ def match(typed: Typed) -> None:
 
 @as_command(
     "adjust",
-    output_text("adjusted cameras (YAML)"),
-    click.Option(
-        ["--matches-out"],
-        type=values.ANY_PATH,
-        metavar="FILE",
-        help="Where to write the matches that the adjusted cameras imply.",
-    ),
+    OUTPUT_TEXT,
+    option("--matches-out", values.ANY_PATH, metavar="FILE"),
     "rig",
     "matches",
     *options.MODEL,
@@ -149,6 +148,9 @@ def adjust(typed: Typed) -> int:
     Example:
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv -o cameras.yaml
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --matches-out new.csv
+
+    output: Where to write the adjusted cameras (YAML); - is stdout.
+    matches_out: Where to write the matches that the adjusted cameras imply.
     """
     from mocap_calib.io.camera_files import format_rig
     from mocap_calib.io.provenance import hold_for, provenance
@@ -184,15 +186,16 @@ def adjust(typed: Typed) -> int:
     return ending.exit_status(group.verdict, typed)
 
 
-@as_command(
-    "triangulate", output_poses(), "rig", "matches", "skeleton", *options.KEYPOINTS, "quiet"
-)
+@as_command("triangulate", OUTPUT_FILE, "rig", "matches", "skeleton", *options.KEYPOINTS, "quiet")
 def triangulate(typed: Typed) -> None:
     """Triangulate the 3D poses of all individuals in all frames.
 
     \b
     Example, in the folder examples/three_people:
       mocap-calib triangulate keypoints/ --rig out/cameras.yaml --matches out/matches.csv -o p.h5
+
+    output: Poses: a .h5 file, or a .csv file (several individuals go to NAME_0.csv, NAME_1.csv,
+        ...).
     """
     from mocap_calib.rig.triangulate import triangulate
     from mocap_calib_cli import inputs, outputs
@@ -208,7 +211,7 @@ def triangulate(typed: Typed) -> None:
 
 @as_command(
     "smooth",
-    output_poses(),
+    OUTPUT_FILE,
     "rig",
     "matches",
     "skeleton",
@@ -226,6 +229,9 @@ def smooth(typed: Typed) -> None:
     Example, in the folder examples/three_people:
       mocap-calib smooth keypoints/ --rig out/cameras.yaml --matches out/matches.csv -o p.h5
       mocap-calib smooth keypoints/ --rig rig.toml --matches matches.csv --smooth bones -o p.h5
+
+    output: Poses: a .h5 file, or a .csv file (several individuals go to NAME_0.csv, NAME_1.csv,
+        ...).
     """
     from mocap_calib.config import Config, PosesConfig
     from mocap_calib.stages import smooth

@@ -5,14 +5,15 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.training import PairsConfig, TrainConfig
 from mocap_calib_cli import names, numbers, values
-from mocap_calib_cli.typed import Typed, as_command, as_json, output_file
+from mocap_calib_cli.options import AS_JSON, OUTPUT_FILE, argument, option
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.training.model import Model
@@ -31,80 +32,37 @@ def _check_width(_: click.Context, __: click.Parameter, value: int) -> int:
     return value
 
 
-def _size(flag: str, kind: click.ParamType[Any], help: str, **more: Any) -> click.Option:
-    """Return an option whose default is that of the training."""
-    default = getattr(_DEFAULT, flag.removeprefix("--").replace("-", "_"))
-    return click.Option([flag], type=kind, default=default, help=help, **more)
-
-
 _SIZES = (
-    _size("--steps", numbers.COUNT, "Batches to train on."),
-    _size("--batch", numbers.COUNT, "Poses in a batch."),
-    _size(
+    option("--steps", numbers.COUNT, default=_DEFAULT.steps),
+    option("--batch", numbers.COUNT, default=_DEFAULT.batch),
+    option(
         "--width",
         numbers.WholeNumber(min=ENCODER_HEADS),
-        f"Size of a token; a multiple of {ENCODER_HEADS}.",
+        default=_DEFAULT.width,
         callback=_check_width,
     ),
-    _size("--layers", numbers.COUNT, "Layers of the encoder."),
-    _size("--learning-rate", numbers.POSITIVE, "Peak of the schedule."),
+    option("--layers", numbers.COUNT, default=_DEFAULT.layers),
+    option("--learning-rate", numbers.POSITIVE, default=_DEFAULT.learning_rate),
 )
 
 
 @as_command(
     "train",
-    click.Argument(["poses"], nargs=-1, type=values.FILE, metavar="[POSES...]"),
-    output_file("Weights to write (.safetensors); the model card is inside."),
-    click.Option(
-        ["--from", "calibrated"],
-        type=values.FILE,
-        metavar="POSES3D.h5",
-        help="Poses that a run found, for a model of that species.",
-    ),
-    click.Option(
-        ["--skeleton"],
-        type=names.SKELETON,
-        help="Vocabulary: a shipped skeleton or one of your own. "
-        "[default: people; with --from: its own joints]",
-    ),
-    click.Option(
-        ["--architecture"],
-        type=click.Choice(["factorised", "token"]),
-        default="factorised",
-        help="Ours, or the paper's with its rotation token.",
-    ),
-    click.Option(
-        ["--up"],
-        multiple=True,
-        metavar="AXIS",
-        help="What points up in the poses: +z (default), -y, ...; once for all files, or once for "
-        "each.",
-    ),
-    click.Option(
-        ["--procedural"],
-        type=numbers.SHARE,
-        metavar="SHARE",
-        help="Share of bodies made from the skeleton's file. [default: half beside POSES, all "
-        "without]",
-    ),
+    argument("poses", values.FILE, "[POSES...]", several=True, required=False),
+    OUTPUT_FILE,
+    option("--from calibrated", values.FILE, metavar="POSES3D.h5"),
+    option("--skeleton", names.SKELETON),
+    option("--architecture", ("factorised", "token"), default="factorised"),
+    option("--up", click.STRING, multiple=True, metavar="AXIS"),
+    option("--procedural", numbers.SHARE, metavar="SHARE"),
     *_SIZES,
     "seed",
     "device",
     "quiet",
-    click.Option(["--threads"], type=numbers.COUNT, default=1, help="Threads of torch."),
-    click.Option(
-        ["--data"],
-        default="",
-        metavar="TEXT",
-        help="For the model card: what the poses are and whom to credit.",
-    ),
-    click.Option(
-        ["--terms"],
-        default="",
-        metavar="TEXT",
-        help="For the model card: the terms of the data.",
-    ),
-    as_json("Write the held-out errors to stdout."),
+    option("--threads", numbers.COUNT, default=1),
+    option("--data", click.STRING, default="", metavar="TEXT"),
+    option("--terms", click.STRING, default="", metavar="TEXT"),
+    AS_JSON,
 )
 def command(typed: Typed) -> None:
     """Train a lifter on 3D poses, on bodies made from the skeleton's file, or on both.
@@ -120,6 +78,24 @@ def command(typed: Typed) -> None:
       mocap-calib train poses.npz --skeleton people -o people.safetensors --steps 9000
       mocap-calib train --skeleton quadruped -o quadruped.safetensors --steps 4000
       mocap-calib train --from out/poses3d.h5 -o beetle.safetensors --steps 2000
+
+    output: Weights to write (.safetensors); the model card is inside.
+    calibrated: Poses that a run found, for a model of that species.
+    skeleton: Vocabulary: a shipped skeleton or one of your own. [default: people; with --from: its
+        own joints]
+    architecture: Ours, or the paper's with its rotation token.
+    up: What points up in the poses: +z (default), -y, ...; once for all files, or once for each.
+    procedural: Share of bodies made from the skeleton's file. [default: half beside POSES, all
+        without]
+    steps: Batches to train on.
+    batch: Poses in a batch.
+    width: Size of a token; a multiple of 4.
+    layers: Layers of the encoder.
+    learning_rate: Peak of the schedule.
+    threads: Threads of torch.
+    data: For the model card: what the poses are and whom to credit.
+    terms: For the model card: the terms of the data.
+    as_json: Write the held-out errors to stdout.
     """
     from mocap_calib.training import check_device, torch_threads
     from mocap_calib.training.model import TokenConfig, save_model

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mocap_calib_cli import names, options, values
-from mocap_calib_cli.typed import Typed, as_command, as_json
+from mocap_calib_cli.options import AS_JSON, argument, option
+from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.results import Verification
@@ -21,19 +22,9 @@ _CALIBRATION = values.PathOf(
 
 @as_command(
     "verify",
-    click.Option(
-        ["-o", "--output"],
-        type=values.ANY_PATH,
-        metavar="FILE",
-        help="Where to write CAMERAS with the cameras that moved where they are now; all else, "
-        "coordinates and unit too, stays as given.",
-    ),
-    click.Option(
-        ["--to"],
-        type=names.WRITTEN_CAMERA_FORMAT,
-        help="Format of FILE, where its ending does not say it (docs/formats.md).",
-    ),
-    click.Argument(["rig"], type=_CALIBRATION, metavar="CAMERAS"),
+    option("-o --output", values.ANY_PATH, metavar="FILE"),
+    option("--to", names.WRITTEN_CAMERA_FORMAT),
+    argument("rig", _CALIBRATION, "CAMERAS"),
     "keypoints",
     *options.READING,
     *options.MODEL,
@@ -42,7 +33,7 @@ _CALIBRATION = values.PathOf(
     "seed",
     "strict",
     "quiet",
-    as_json("Figures as JSON instead of a table."),
+    AS_JSON,
 )
 def command(typed: Typed) -> int:
     """Judge the calibration CAMERAS by KEYPOINTS of moving subjects, and say which camera moved.
@@ -62,6 +53,11 @@ def command(typed: Typed) -> int:
       mocap-calib verify board.toml keypoints/
       mocap-calib verify board.toml keypoints/ -o mended.toml --to anipose
       mocap-calib verify board.toml keypoints/ --json --strict
+
+    output: Where to write CAMERAS with the cameras that moved where they are now; all else,
+        coordinates and unit too, stays as given.
+    to: Format of FILE, where its ending does not say it (docs/formats.md).
+    as_json: Figures as JSON instead of a table.
     """
     from mocap_calib.config import Config
     from mocap_calib.verdict.verify import verify
