@@ -52,10 +52,10 @@ def check_poses(path: Path) -> None:
 
 def check_individuals(path: Path, individuals: int) -> None:
     """Raise MismatchError where `write_poses` should not write the files of so many."""
-    from mocap_calib.io.formats.anipose_csv import check_poses_csv
+    from mocap_calib.io.atomic import check_no_further_individual
 
-    if path.suffix == ".csv":
-        check_poses_csv(path, individuals)
+    if path.suffix == ".csv" and individuals:
+        check_no_further_individual(path, individuals)
 
 
 def write_poses(path: Path, poses: "Poses3D", recording: "Recording", stage: str) -> None:
@@ -63,7 +63,7 @@ def write_poses(path: Path, poses: "Poses3D", recording: "Recording", stage: str
 
     stage: the command that made them.
     """
-    from mocap_calib.io.formats.anipose_csv import write_poses_csv
+    from mocap_calib.io import pose_files
     from mocap_calib.io.formats.own_poses import write_poses_h5
     from mocap_calib.io.poses import PoseFile
     from mocap_calib.io.provenance import provenance
@@ -72,7 +72,7 @@ def write_poses(path: Path, poses: "Poses3D", recording: "Recording", stage: str
     from mocap_calib.world.floor import stated_joints
 
     if path.suffix == ".csv":
-        write_poses_csv(path, poses)
+        pose_files.write_poses(path, PoseFile(poses), "anipose-csv")
         return
     edges = edges_of_keypoints(load_vocabulary(recording.model), recording.vocabulary)
     file = PoseFile(poses, edges=edges, joints=stated_joints(recording))

@@ -2,8 +2,9 @@
 
 One damaged file in some hundreds crashes libhdf5 2.0.0, or never lets it come back; a damaged count
 makes COLMAP and scipy fill all memory. The process starts with the first such file (0.3 s) and
-serves until this one ends; large files have others, whose memory is given back. A crash becomes a
-FormatError. The process has all rights of the user: this is no protection against hostile files.
+serves until this one ends; each large file has one of its own, whose memory is given back. A crash
+becomes a FormatError. The process has all rights of the user: this is no protection against
+hostile files.
 """
 
 import os
@@ -87,7 +88,7 @@ class _Calls:
     """The calls under way.
 
     endings: how often they were ended. at_a_time: held during the call of a large file, of which
-        there are a few at a time. for_small: the process for small files, None before the first.
+        there are a few at a time.
     """
 
     def __init__(self) -> None:
@@ -99,13 +100,11 @@ class _Calls:
         self.at_a_time = BoundedSemaphore(_LARGE_AT_A_TIME)
         self._lock = Lock()
         self._workers: set[Worker] = set()
-        self.for_small: Worker | None = None
-        self._large = 0  # calls of large files under way,
-        self._idle: list[Worker] = []  # and processes that wait for further ones meanwhile
+        self._for_small: Worker | None = None
 
     @contextmanager
     def worker(self, large: bool, before: int) -> Iterator[Worker]:
-        """Give the process for a call; that of a large file serves others that are read meanwhile.
+        """Give the process for a call; that of a large file ends after it.
 
         before: `endings` when the call began. It is not made where calls were ended while it waited
             for its turn.
@@ -114,36 +113,23 @@ class _Calls:
             if self.endings != before:
                 raise WorkerEndedError("the program that called it")
             if large:
-                worker = self._idle.pop() if self._idle else Worker()
-                self._large += 1
+                worker = Worker()
             else:
-                worker = self.for_small = self.for_small or Worker()
+                worker = self._for_small = self._for_small or Worker()
             self._workers.add(worker)
         try:
             yield worker
         finally:
             if large:
-                self._finish(worker)
-
-    def _finish(self, worker: Worker) -> None:
-        """Let the process of a large file wait; end all that wait after the last such file."""
-        ended: list[Worker] = []
-        with self._lock:
-            self._large -= 1
-            if worker in self._workers:  # else it was killed
-                self._idle.append(worker)
-            if not self._large:
-                ended, self._idle = self._idle, ended
-                self._workers.difference_update(ended)
-        for each in ended:
-            each.end()
+                with self._lock:
+                    self._workers.discard(worker)
+                worker.end()
 
     def end(self) -> None:
         """Kill the processes; others take their places when they are called for."""
         with self._lock:
             self.endings += 1
-            workers, self._workers, self.for_small = self._workers, set(), None
-            self._idle = []
+            workers, self._workers, self._for_small = self._workers, set(), None
         for worker in workers:
             worker.kill()
             worker.end()

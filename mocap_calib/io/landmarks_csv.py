@@ -4,18 +4,17 @@ A line per observation: name, x, y, z (metres), camera, u, v (pixels; integers a
 The columns may be in any order; others are passed over.
 """
 
-import csv
-import io
-import math
-from collections.abc import Mapping
 from pathlib import Path
+
+import numpy as np
 
 from mocap_calib.config import Landmark
 from mocap_calib.errors import FormatError
-from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.document import as_document
+from mocap_calib.io.table import read_table
 
-_NUMBERS = ("x", "y", "z", "u", "v")
 _COLUMNS = ("name", "x", "y", "z", "camera", "u", "v")
+_TEXTS, _NUMBERS = ("name", "camera"), ("x", "y", "z", "u", "v")
 
 
 def read_landmarks(path: Path) -> tuple[Landmark, ...]:
@@ -24,41 +23,23 @@ def read_landmarks(path: Path) -> tuple[Landmark, ...]:
     Raises FormatError, also where two lines place one landmark differently, or a camera sees it
     twice.
     """
-    rows = csv.DictReader(io.StringIO(decode(read_bytes(path), str(path))), skipinitialspace=True)
-    lacking = [name for name in _COLUMNS if name not in (rows.fieldnames or ())]
+    document = as_document(path)
+    lacking = ", ".join(name for name in _COLUMNS if name not in document.header)
     if lacking:
-        raise FormatError(
-            str(path),
-            f"columns {','.join(_COLUMNS)}",
-            f"none called {', '.join(lacking)}",
-            "write this header",
-        )
-    try:
-        found = tuple(_parse_row(row, f"{path}: line {rows.line_num}") for row in rows)
-    except csv.Error as error:
-        raise FormatError(str(path), "a table of landmarks", str(error), "write it anew") from None
-    if not found:
-        raise FormatError(str(path), "landmarks", "a header alone", "add a line per observation")
-    _check_each_once(found, str(path))
+        expected = f"columns {','.join(_COLUMNS)}"
+        raise document.refuse(expected, f"none called {lacking}", "write this header")
+    table = read_table(document, texts=_TEXTS, numbers=_NUMBERS)
+    names, cameras = map(table.text, _TEXTS)
+    for row, numbers in enumerate(table.numbers):
+        if not (names[row] and cameras[row] and np.isfinite(numbers).all()):
+            remedy = "fill the cell"
+            raise table.refuse(row, "names and finite numbers", "an empty cell or others", remedy)
+    rows = zip(names, cameras, table.numbers.tolist(), strict=True)
+    found = tuple(
+        Landmark(name, (x, y, z), camera, (u, v)) for name, camera, (x, y, z, u, v) in rows
+    )
+    _check_each_once(found, document.source)
     return found
-
-
-def _parse_row(row: Mapping[str, str | None], where: str) -> Landmark:
-    """Return the observation of a line. Raises FormatError."""
-    numbers = {}
-    for column in _NUMBERS:
-        text = row[column] or ""
-        try:
-            numbers[column] = float(text)
-        except ValueError:
-            numbers[column] = math.nan
-        if not math.isfinite(numbers[column]):
-            raise FormatError(where, f"a number {column}", repr(text), "correct it")
-    name, camera = (row["name"] or "").strip(), (row["camera"] or "").strip()
-    if not name or not camera:
-        raise FormatError(where, "names of a landmark and of a camera", "none", "add them")
-    position = (numbers["x"], numbers["y"], numbers["z"])
-    return Landmark(name, position, camera, (numbers["u"], numbers["v"]))
 
 
 def _check_each_once(landmarks: tuple[Landmark, ...], source: str) -> None:

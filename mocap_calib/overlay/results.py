@@ -10,7 +10,7 @@ import numpy as np
 from mocap_calib.clocks.estimate import own_frames
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.camera_files import read_rig
-from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.document import as_document
 from mocap_calib.io.formats import own_cameras
 from mocap_calib.io.formats.own_cameras import SUBFRAME
 from mocap_calib.io.pose_files import load_poses
@@ -62,9 +62,8 @@ def read_results(folder: Path) -> Results:
             )
     report = read_run_json(folder / REPORT, SCHEMA)
     faults = {each["name"]: each["fault_evidence"] for each in report["cameras"]}
-    table = folder / "matches.csv"
     offsets = own_cameras.stored_provenance(folder / "cameras.yaml").get(SUBFRAME, {})
-    cameras, rows = parse_matches(decode(read_bytes(table), str(table)), str(table))
+    cameras, rows = parse_matches(as_document(folder / "matches.csv"))
     individuals: dict[str, dict[tuple[int, int], int]] = {}
     for camera, (frame, instance, individual) in zip(cameras, rows.tolist(), strict=True):
         individuals.setdefault(camera, {})[frame, instance] = individual

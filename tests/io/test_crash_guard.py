@@ -121,25 +121,6 @@ def test_a_large_files_memory_goes_with_the_process():
         os.kill(first, 0)
 
 
-@posix
-def test_processes_of_large_files_serve_others_meanwhile(tmp_path):
-    """And end with the last of them."""
-    large = HDF5 + bytes(11_000_000)
-    with ThreadPoolExecutor(2) as threads:
-        end, begun = tmp_path / "end", tmp_path / "begun"
-        under_way = threads.submit(inside, wait_for, end, begun, content=large)
-        wait_for(begun)
-        first = inside(process, content=large)
-        assert inside(process, content=large) == first
-        with pytest.raises(FormatError, match="SIGSEGV"):
-            inside(crash, content=large)
-        assert inside(process, content=large) != first
-        end.touch()
-        under_way.result(timeout=120)
-    with pytest.raises(ProcessLookupError):
-        os.kill(first, 0)
-
-
 @pytest.mark.parametrize("size", [100, 11_000_000], ids=["small", "large"])
 def test_calls_of_other_threads_are_ended(size):
     """Ctrl-C reaches the main thread alone. Of six large files two wait for their turn."""

@@ -537,7 +537,7 @@ def test_a_row_of_a_trc_that_has_a_number_more_is_refused(tmp_path):
     lines = (tmp_path / "p.trc").read_text().splitlines()
     lines[-1] = "\t".join([*lines[-1].split("\t")[:8], "0.5"])
     (tmp_path / "p.trc").write_text("\n".join(lines))
-    with pytest.raises(mc.FormatError, match=f"line {len(lines)}: expected 8 cells, found 9"):
+    with pytest.raises(mc.FormatError, match=f"line {len(lines)}: .* 6 numbers .* found 9 cells"):
         mc.read_poses(tmp_path / "p.trc")
 
 

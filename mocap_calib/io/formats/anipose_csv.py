@@ -6,45 +6,30 @@
 * An empty cell is missing. There is no unit of length and no rate.
 """
 
-import csv
-import io
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.atomic import (
-    check_no_further_individual,
-    individual_files,
-    replace_folder,
-    write_pieces,
-)
 from mocap_calib.io.document import Document
+from mocap_calib.io.file import LARGEST_EXACT_FLOAT
 from mocap_calib.io.format import Format
-from mocap_calib.io.poses import (
-    COVARIANCES,
-    INDIVIDUALS,
-    UNIT,
-    PoseFile,
-    mark_missing,
-)
+from mocap_calib.io.poses import COVARIANCES, INDIVIDUALS, UNIT, PoseFile, mark_missing
 from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
+from mocap_calib.io.table import read_rows, read_table
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import Poses3D
-from mocap_calib.types import Floats, Ints
+from mocap_calib.types import Floats
 
 _FIELDS = ("x", "y", "z", "error", "ncams", "score")
 _FRAME = "fnum"
-_LONGEST_HEADER = 1_000_000  # bytes
 _MOST_VIEWS = 1e6  # what no file has
 _REMEDY = "export them again"
 
 
 def sniff(document: Document) -> bool:
     """Return whether the first line has the names of the columns."""
-    header = document.start[:_LONGEST_HEADER].split(b"\n", 1)[0]
+    header = document.start.split(b"\n", 1)[0]
     return b"_ncams" in header and b"_x" in header and _FRAME.encode() in header
 
 
@@ -53,17 +38,23 @@ def sniff(document: Document) -> bool:
 
 def read(document: Document) -> PoseFile:
     """Read the poses in the axes of the file. Raises FormatError."""
-    header, rows = _split_rows(document)
-    names = _find_keypoints(header, document.source)
-    columns = {name: index for index, name in enumerate(header)}
-    table = _parse_table(rows, len(header), document.source)
-    frames = _parse_frames(table[:, columns[_FRAME]], document.source)
-    wanted = [columns[f"{name}_{field}"] for name in names for field in _FIELDS]
-    values = table[:, wanted].reshape(len(table), 1, len(names), len(_FIELDS))
+    _, header = next(read_rows(document), (0, []))
+    names = [name.removesuffix("_ncams") for name in header if name.endswith("_ncams")]
+    wanted = [f"{name}_{field}" for name in names for field in _FIELDS] + [_FRAME]
+    columns = set(header)
+    missing = [column for column in wanted if column not in columns]
+    if missing or not names:
+        expected = f"columns {', '.join(_FIELDS)} of each keypoint, and fnum"
+        raise document.refuse(expected, f"no {', '.join(missing) or 'such names'}", _REMEDY)
+    numbers = read_table(document, texts=(), numbers=wanted).numbers
+    frames = numbers[:, -1]
+    if not ((np.mod(frames, 1) == 0) & (np.abs(frames) < LARGEST_EXACT_FLOAT)).all():
+        raise document.refuse("a whole number fnum in each row", "others", _REMEDY)
+    values = numbers[:, :-1].reshape(len(frames), 1, len(names), len(_FIELDS))
     views = np.nan_to_num(values[..., 4], nan=0.0, posinf=0.0, neginf=0.0).clip(0, _MOST_VIEWS)
     poses = Poses3D(
         keypoints=tuple(names),
-        frames=frames,
+        frames=frames.astype(np.int64),
         positions=mark_missing(values[..., :3]),
         error=values[..., 3],
         views=views.astype(np.int64),
@@ -73,77 +64,12 @@ def read(document: Document) -> PoseFile:
     return PoseFile(poses)
 
 
-def _split_rows(document: Document) -> tuple[list[str], list[list[str]]]:
-    """Return the cells of the header and of each row that is not empty. Raises FormatError."""
-    text = io.StringIO(document.text, newline="")
-    try:
-        rows = [row for row in csv.reader(text) if row]
-    except (csv.Error, ValueError) as error:
-        raise document.refuse("comma-separated values", error, _REMEDY) from None
-    if not rows:
-        raise document.refuse("comma-separated values", "no row", _REMEDY)
-    return rows[0], rows[1:]
-
-
-def _find_keypoints(header: list[str], source: str) -> list[str]:
-    """Return the names of the keypoints, which have all their columns. Raises FormatError."""
-    names = [name.removesuffix("_ncams") for name in header if name.endswith("_ncams")]
-    wanted = [f"{name}_{field}" for name in names for field in _FIELDS]
-    columns = set(header)
-    missing = [column for column in wanted if column not in columns]
-    if missing or not names or _FRAME not in columns or len(columns) < len(header):
-        expected = f"columns {', '.join(_FIELDS)} of each keypoint, and fnum, each once"
-        found = f"no {', '.join(missing) or 'such names'}"
-        raise FormatError(f"{source}: line 1", expected, found, _REMEDY)
-    return names
-
-
-def _parse_table(rows: list[list[str]], width: int, source: str) -> Floats:
-    """Return the numbers `[row, column]`, NaN where a cell is empty. Raises FormatError."""
-    table = np.full((len(rows), width), np.nan)
-    for index, row in enumerate(rows):
-        try:
-            if len(row) != width:
-                raise ValueError(f"{len(row)} cells")
-            table[index] = [float(cell) if cell.strip() else np.nan for cell in row]
-        except ValueError as error:
-            where = f"{source}: row {index + 2}"
-            expected = f"{width} numbers or empty cells"
-            raise FormatError(where, expected, error, "mend the row") from None
-    return table
-
-
-def _parse_frames(numbers: Floats, source: str) -> Ints:
-    """Return `[frame]` numbers. Raises FormatError."""
-    whole = np.isfinite(numbers) & (numbers == np.round(numbers)) & (np.abs(numbers) < 2**53)
-    if not whole.all():
-        raise FormatError(source, "a whole number fnum in each row", "others", _REMEDY)
-    return numbers.astype(np.int64)
-
-
 # --- writing
 
 
 def write(file: PoseFile, title: str) -> bytes:
     """Write the one individual."""
     return b"".join(poses_csv(file.poses, 0))
-
-
-def check_poses_csv(path: Path, individuals: int) -> None:
-    """Raise MismatchError where `write_poses_csv` should not write so many individuals.
-
-    That is where there is none, and where a file there would pass for one more.
-    """
-    if not individuals:
-        raise MismatchError(path, "at least one individual", "none", "nothing to write")
-    check_no_further_individual(path, individuals)
-
-
-def write_poses_csv(path: Path, poses: Poses3D) -> None:
-    """Write one individual to `path`, several to NAME_0.csv, NAME_1.csv, ..., all or none."""
-    with replace_folder(path.absolute().parent) as work:
-        for individual, own in enumerate(individual_files(path, poses.positions.shape[1])):
-            write_pieces(work / own.name, poses_csv(poses, individual))
 
 
 def poses_csv(poses: Poses3D, individual: int) -> Iterator[bytes]:

@@ -12,8 +12,9 @@ import math
 
 import numpy as np
 
-from mocap_calib.errors import FormatError
+from mocap_calib.errors import FormatError, one_line
 from mocap_calib.io.document import Document
+from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.format import Format
 from mocap_calib.io.poses import (
     INDIVIDUALS,
@@ -28,14 +29,11 @@ from mocap_calib.io.poses import (
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.recording.joints import choose_skeleton, match_names
-from mocap_calib.types import Floats, Ints
+from mocap_calib.types import Ints
 
-_NEEDED = {"DataRate", "NumMarkers", "Units"}
 _HEADER_LINES = 5
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _NAMES = r"[^\t\r\n\x0b\x0c\x1c-\x1e\x85\u2028\u2029\ud800-\udfff]*[^\s\ud800-\udfff]"
-
-
 _PEOPLE = "people"
 # joint of the skeleton `people`, without its side -> marker; a side becomes an L or an R before it
 _MARKERS = {
@@ -67,73 +65,47 @@ def sniff(document: Document) -> bool:
 
 def read(document: Document) -> PoseFile:
     """Read the markers. Raises FormatError."""
+    source, remedy = document.source, "write the file again"
     lines = document.text.splitlines()
     if len(lines) < _HEADER_LINES:
-        expected = "the five lines of a TRC header"
-        raise document.refuse(expected, len(lines), "write the file again")
-    header = _parse_header(lines, document.source)
-    names = _parse_names(lines[3], header["NumMarkers"], document.source)
-    frames, positions = _parse_rows(lines[_HEADER_LINES:], len(names), document.source)
-    rate = _parse_rate(header["DataRate"], document.source)
-    unit = known_unit(header["Units"], f"{document.source}: line 3")
-    return PoseFile(bare_poses(names, frames, positions[:, None], unit=unit), rate)
-
-
-def _parse_header(lines: list[str], source: str) -> dict[str, str]:
-    """Return the fields of lines 2 and 3. Raises FormatError."""
+        raise document.refuse("the five lines of a TRC header", len(lines), remedy)
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    if not header.keys() >= _NEEDED:
-        expected = "DataRate, NumMarkers, Units and their values below"
-        found = ", ".join(header) or "nothing"
-        raise FormatError(f"{source}: line 2", expected, found, "write the file again")
-    return header
-
-
-def _parse_names(line: str, count: str, source: str) -> list[str]:
-    """Return the names of the markers, as many as the header says. Raises FormatError."""
-    names = [cell.strip() for cell in line.split("\t")[2::3] if cell.strip()]
-    if str(len(names)) != count:
-        expected = f"{count} names of markers"
-        raise FormatError(f"{source}: line 4", expected, f"{len(names)}", "write the file again")
-    return names
-
-
-def _parse_rate(text: str, source: str) -> float:
-    """Return the frames per second. Raises FormatError."""
     try:
-        return float(text)
-    except ValueError:
-        where = f"{source}: line 3"
-        raise FormatError(where, "a number for DataRate", text, "mend it") from None
-
-
-def _parse_rows(lines: list[str], markers: int, source: str) -> tuple[Ints, Floats]:
-    """Return `[frame]` numbers and `[frame, marker, 3]` positions. Raises FormatError."""
+        rate, count, unit = float(header["DataRate"]), int(header["NumMarkers"]), header["Units"]
+    except (LookupError, ValueError):
+        expected = "numbers of DataRate and NumMarkers, and Units"
+        found = one_line(", ".join(f"{name} {value}" for name, value in header.items()))
+        raise FormatError(f"{source}: line 2", expected, found or "nothing", remedy) from None
+    names = [cell.strip() for cell in lines[3].split("\t")[2::3] if cell.strip()]
+    if len(names) != count:
+        expected = f"{count} names of markers"
+        raise FormatError(f"{source}: line 4", expected, f"{len(names)}", remedy)
     rows = [
-        (number, line.split("\t"))
-        for number, line in enumerate(lines, _HEADER_LINES + 1)
+        _parse_row(line, 3 * count, f"{source}: line {number}")
+        for number, line in enumerate(lines[_HEADER_LINES:], _HEADER_LINES + 1)
         if line.strip()
     ]
-    frames = np.zeros(len(rows), dtype=np.int64)
-    positions = np.full((len(rows), 3 * markers), np.nan)
-    for index, (number, cells) in enumerate(rows):
-        where = f"{source}: line {number}"
-        values = cells[2 : 2 + 3 * markers]
-        try:
-            frames[index] = int(cells[0])
-            positions[index, : len(values)] = [_parse_number(cell) for cell in values]
-        except (ValueError, OverflowError) as error:
-            expected = "a frame, a time, and numbers or empty cells"
-            raise FormatError(where, expected, error, "mend the line") from None
-        if any(cell.strip() for cell in cells[2 + 3 * markers :]):
-            expected = f"{2 + 3 * markers} cells"
-            raise FormatError(where, expected, f"{len(cells)}", "mend the line")
-    return frames, mark_missing(positions.reshape(len(rows), markers, 3))
+    frames = np.array([frame for frame, _ in rows], dtype=np.int64)
+    positions = np.array([numbers for _, numbers in rows]).reshape(len(rows), 1, count, 3)
+    unit = known_unit(unit, f"{source}: line 3")
+    return PoseFile(bare_poses(names, frames, mark_missing(positions), unit=unit), rate)
 
 
-def _parse_number(cell: str) -> float:
-    """Return the number in a cell, NaN where it is blank. Raises ValueError."""
-    return float(cell) if cell.strip() else np.nan
+def _parse_row(line: str, columns: int, where: str) -> tuple[int, list[float]]:
+    """Return the frame number and the numbers of a line, NaN where a cell is blank.
+
+    Raises FormatError.
+    """
+    first, _, *cells = [*line.split("\t"), ""]
+    try:
+        frame = int(first)
+        numbers = [float(cell) if cell.strip() else np.nan for cell in cells]
+        if abs(frame) > LARGEST_FRAME or not np.isnan(numbers[columns:]).all():
+            raise ValueError(f"{len(cells) + 1} cells from frame {frame} on")
+    except ValueError as error:
+        expected = f"a frame, a time, and {columns} numbers or empty cells"
+        raise FormatError(where, expected, error, "correct the line") from None
+    return frame, (numbers + [np.nan] * columns)[:columns]
 
 
 # --- writing

@@ -1,7 +1,5 @@
 """matches.csv: who is who, a row per detection."""
 
-import csv
-import io
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -9,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.errors import FormatError, MismatchError, one_line
+from mocap_calib.io.document import Document, as_document
 from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
+from mocap_calib.io.table import read_rows
 from mocap_calib.recording.corrections import own_name
 from mocap_calib.recording.names import compose_name
 from mocap_calib.results import NO_FRAME, Clocks, Matches
@@ -54,7 +53,7 @@ def _detections(first: str, positions: Reals, labels: Ints, numbers: Ints, piece
 
 
 def read_matches_csv(
-    path_or_text: Path | str, recording: Recording, clocks: Clocks | None = None
+    given: Path | str, recording: Recording, clocks: Clocks | None = None
 ) -> Matches:
     """Return the matches in a file or a text, as `matches_csv` writes them.
 
@@ -64,51 +63,41 @@ def read_matches_csv(
     A detection that has no row is nobody's. Raises FormatError for bad content and MismatchError
     for a camera, frame or instance that the recording lacks.
     """
-    if isinstance(path_or_text, Path):
-        source = str(path_or_text)
-        text = decode(read_bytes(path_or_text), source)
-    else:
-        source = "matches"
-        text = path_or_text
-    cameras, rows = parse_matches(text, source)
+    document = as_document(given if isinstance(given, Path) else given.encode())
+    source = document.source
+    cameras, rows = parse_matches(document)
     if clocks is not None:
         cameras, rows = _on_common_clock(cameras, rows, clocks)
     detections = _find_detections(cameras, rows[:, :2], recording, source)
     individual = rows[:, 2]
-    _check_once(detections, "each detection once", source)
-    somebody = individual >= 0
-    _check_once(
-        np.column_stack([detections[:, :2], individual])[somebody],
-        "each individual once per camera and frame",
-        source,
-    )
+    in_frame = np.column_stack([detections[:, :2], individual])[individual >= 0]
+    for each, what in (
+        (detections, "each detection once"),
+        (in_frame, "each individual once per camera and frame"),
+    ):
+        if len(np.unique(each, axis=0)) != len(each):
+            raise FormatError(source, what, "one of them twice", "remove one of the rows")
     labels = np.full(recording.positions.shape[:3], -1, dtype=np.int64)
     labels[tuple(detections.T)] = individual
     return Matches(labels)
 
 
-def parse_matches(text: str, source: str) -> tuple[list[str], Ints]:
+def parse_matches(document: Document) -> tuple[list[str], Ints]:
     """Return camera names, and `[row, 3]` frame, instance, individual. Raises FormatError."""
+    _, header = next(rows := read_rows(document), (0, ["an empty file"]))
+    if header != _COLUMNS:
+        expected = f"the columns {','.join(_COLUMNS)}"
+        raise document.refuse(expected, ",".join(header), _REMEDY)
+    cells = [cells for _, cells in rows]
     try:
-        table = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
-    except csv.Error as error:
-        raise FormatError(source, "comma-separated values", error, _REMEDY) from None
-    if not table or table[0] != _COLUMNS:
-        found = ",".join(table[0]) if table else "an empty file"
-        raise FormatError(source, f"the columns {','.join(_COLUMNS)}", found, _REMEDY)
-    numbers = [cells[1:] for cells in table[1:]]
-    try:
-        rows = np.array([[int(cell) for cell in cells] for cells in numbers], dtype=np.int64)
-        rows = rows.reshape(-1, 3)
+        numbers = np.array([list(map(int, row[1:])) for row in cells], dtype=np.int64)
+        found = numbers.reshape(len(cells), 3)
     except (ValueError, OverflowError) as error:
         expected = "three whole numbers after the camera in each row"
-        raise FormatError(source, expected, error, _REMEDY) from None
-    individual = rows[:, 2]
-    possible = (individual >= -1) & (individual < len(rows))
-    if len(rows) != len(numbers) or not possible.all():
-        expected = "four cells a row, individuals counted from 0, -1 = nobody"
-        raise FormatError(source, expected, "others", _REMEDY)
-    return [compose_name(row[0]) for row in table[1:]], rows
+        raise document.refuse(expected, f"an error ({one_line(error)})", _REMEDY) from None
+    if len(found) and not -1 <= found[:, 2].min() <= found[:, 2].max() < len(found):
+        raise document.refuse("individuals counted from 0, -1 = nobody", "others", _REMEDY)
+    return [compose_name(row[0]) for row in cells], found
 
 
 def _on_common_clock(cameras: list[str], rows: Ints, clocks: Clocks) -> tuple[list[str], Ints]:
@@ -138,38 +127,20 @@ def _find_detections(cameras: list[str], rows: Ints, recording: Recording, sourc
 
     Raises MismatchError where the recording has no such detection.
     """
-    view = _find_views(cameras, recording, source)
+    index = {name: view for view, name in enumerate(recording.names)}
+    strangers = ", ".join(sorted({*cameras} - {*index}))
+    if strangers:
+        expected = f"the cameras {', '.join(recording.names)}"
+        raise MismatchError(source, expected, strangers, _WRONG_RECORDING)
+    view = np.array([index[name] for name in cameras], dtype=np.int64)
     frame = np.searchsorted(recording.frames, rows[:, 0]).clip(max=len(recording.frames) - 1)
     instance = rows[:, 1].clip(0, recording.positions.shape[2] - 1)
     positions = recording.positions[view, frame, instance]
     detected: Bools = np.isfinite(positions[..., 0]).any(axis=-1)
-    same_frame = recording.frames[frame] == rows[:, 0]
-    same_instance = instance == rows[:, 1]
-    known = same_frame & same_instance & detected
+    known = (recording.frames[frame] == rows[:, 0]) & (instance == rows[:, 1]) & detected
     if not known.all():
         row = int(np.argmin(known))
         found = f"camera {cameras[row]} frame {rows[row, 0]} instance {rows[row, 1]}"
-        raise MismatchError(
-            f"{source}: row {row + 2}", "detections of the recording", found, _WRONG_RECORDING
-        )
+        where = f"{source}: row {row + 2}"
+        raise MismatchError(where, "detections of the recording", found, _WRONG_RECORDING)
     return np.column_stack([view, frame, instance])
-
-
-def _find_views(cameras: list[str], recording: Recording, source: str) -> Ints:
-    """Return `[row]` indices of the cameras of these names. Raises MismatchError."""
-    index = {name: view for view, name in enumerate(recording.names)}
-    strangers = sorted(set(cameras) - set(index))
-    if strangers:
-        raise MismatchError(
-            source,
-            f"the cameras {', '.join(recording.names)}",
-            ", ".join(strangers),
-            _WRONG_RECORDING,
-        )
-    return np.array([index[name] for name in cameras], dtype=np.int64)
-
-
-def _check_once(rows: Ints, expected: str, source: str) -> None:
-    """Raise FormatError where a row occurs twice."""
-    if len(np.unique(rows, axis=0)) != len(rows):
-        raise FormatError(source, expected, "one of them twice", "remove one of the rows")
