@@ -6,6 +6,8 @@
 import io
 import json
 import random
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import h5py
@@ -19,6 +21,24 @@ ODD += ["\u0000", "ä", "9" * 5000, "1e999", [1, [2, [3]]], [[1, 2], [3]]]
 CELLS = ["", " ", "x", "nan", "inf", "-1", "1e999", "9" * 400, '"', "1;2", "1,5", "\t", "0x10"]
 CELLS += ["1_0", "\u0000", "-0", "1e5", "²", "scorer", "x,y", "[", "]", "{", "}", "null", "&a "]
 CELLS += ["*a", ": ", "\ufeff", "é", "[" * 3000]
+
+
+def change_store(path: Path, changes: Mapping[str, object]) -> None:
+    """Change `path` or `path@attribute` in HDF5, to a value or by a function; None removes it."""
+    with h5py.File(path, "a") as file:
+        for key, given in changes.items():
+            place, _, attribute = key.partition("@")
+            if attribute:
+                file[place or "/"].attrs[attribute] = given
+                continue
+            value, kept = given, {}
+            if place in file:
+                value = given(file[place][...]) if callable(given) else given
+                kept = {k: v for k, v in file[place].attrs.items() if not k.endswith("_LIST")}
+                del file[place]
+            if value is not None:
+                file[place] = value
+                file[place].attrs.update(kept)
 
 
 def damaged(content: bytes, rng: random.Random) -> bytes:

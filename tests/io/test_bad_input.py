@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from conformance import SIZE
+from conformance import CAMERAS, KEYPOINTS, POSES, SIZE
 from golden.command import call
 from platforms import linux
 
@@ -87,7 +87,7 @@ class Finding(NamedTuple):
 
 LATE = {"a": range(30), "b": range(100, 130)}
 NEAR = {"a": range(42150, 42180), "b": range(42151, 42181)}
-CAMERAS = ("--cameras", "cameras.toml")
+GIVEN = ("--cameras", "cameras.toml")
 FINDINGS = {
     "other lengths": Finding(
         partial(write_coco, cameras={"a": range(30), "b": range(5, 60)}), 0, ("a 0-29, b 5-59",)
@@ -131,10 +131,10 @@ FINDINGS = {
     ),
     "images of another size": Finding(
         partial(with_intrinsics, cameras="ab", size=(480, 640)),
-        *(1, ("640 x 480", "480 x 640"), CAMERAS),
+        *(1, ("640 x 480", "480 x 640"), GIVEN),
     ),
     "a camera without keypoints": Finding(
-        partial(with_intrinsics, cameras="abc"), 0, ("c: no keypoints",), CAMERAS
+        partial(with_intrinsics, cameras="abc"), 0, ("c: no keypoints",), GIVEN
     ),
     "one camera twice": Finding(
         partial(write_coco, cameras="ab", seed=0), 1, ("a and b have the same detections",)
@@ -304,6 +304,29 @@ READERS = {
     "read_cameras": mc.read_cameras,
     "read_poses": mc.read_poses,
 }
+
+
+NOTHING = [b"", b"{}", b"[]", b"[cameras]", b"null", b"- 1\n", b"a: 1\n", b"%YAML:1.0\n---\n"]
+NOTHING += [b"MATLAB 5.0", b"\x89HDF\r\n\x1a\n", b"\x00" * 600, bytes(range(256)), b"hello"]
+NOTHING += [b"PK\x03\x04", b"PathFileType\n", b"\x02\x50" + bytes(600)]
+NAMED = {
+    "read_keypoints": {each.format or name for name, each in KEYPOINTS.items()},
+    "read_cameras": {*CAMERAS, "kalibr", "ros"},
+    "read_poses": {*POSES, "nwb-3d", "bvh", "blender", "rerun"},
+}
+
+
+@pytest.mark.parametrize(
+    ("read", "name"), [(read, name) for read, names in NAMED.items() for name in sorted(names)]
+)
+def test_a_format_that_is_named_refuses_what_is_not_it(read, name, tmp_path):
+    np.savez(tmp_path / "x.npz", positions=np.array([{}], dtype=object))  # a pickle
+    for content in [*NOTHING, (tmp_path / "x.npz").read_bytes()]:
+        (tmp_path / "x").write_bytes(content)
+        if content == b"" and name == "ultralytics":  # an image without animals
+            continue
+        with pytest.raises((mc.FormatError, mc.MismatchError), match=r"expected|only written"):
+            READERS[read](tmp_path / "x", name)
 
 
 @pytest.mark.parametrize("name", ["cam1.mp4", "a.AVI", "b.mov", "c.mkv", "frame.png", "f.JPG"])

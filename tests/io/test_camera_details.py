@@ -505,21 +505,6 @@ def test_dannce_s_files_of_one_camera_each_are_a_rig(tmp_path):
     check(tmp_path / "no" / "x.mat", "give the file that has the cameras")
 
 
-NOTHING = [b"", b"{}", b"[]", b"[cameras]", b"null", b"- 1\n", b"a: 1\n", b"%YAML:1.0\n---\n"]
-NOTHING += [b"MATLAB 5.0", b"\x89HDF\r\n", b"\x00" * 600, bytes(range(256))]
-FORMATS = ["mocap-calib", "caliscope", "freemocap", "pose2sim", "anipose", "jarvis", "easymocap"]
-FORMATS += ["kalibr", "ros", "opencv", "colmap-binary", "colmap", "panoptic", "voxelpose"]
-FORMATS += ["4d-association", "nerfstudio", "openmvg", "multiview-calib", "dannce"]
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_a_format_that_is_named_refuses_what_is_not_it(name, tmp_path):
-    for content in NOTHING:
-        (tmp_path / "x").write_bytes(content)
-        with pytest.raises((mc.FormatError, mc.MismatchError), match="expected"):
-            mc.read_rig(tmp_path / "x", name)
-
-
 # --- COLMAP's models by pycolmap
 
 PARAMETERS = {  # half a pixel more than ours

@@ -18,6 +18,7 @@ import numpy as np
 import pandas
 import pytest
 from conformance import CORPUS, FRAMES, NAMES, SIZE, recording
+from corruption import change_store
 
 import mocap_calib as mc
 
@@ -54,29 +55,16 @@ def text(content: object, name: str = "cam.json") -> Make:
 
 
 def stored(entry: str, changes: Mapping[str, object] | Callable[[h5py.File], object]) -> Make:
-    """Return what copies a file of the corpus, of HDF5 with changed `path` or `path@attribute`.
-
-    A function makes the new dataset of the old one; None removes it.
-    """
+    """Return what copies a file of the corpus, and changes it."""
 
     def make(folder: Path) -> None:
         (path,) = (CORPUS / "keypoints" / entry).iterdir()
-        with h5py.File(shutil.copy(path, folder), "a") as file:
-            if callable(changes):
+        copy = Path(shutil.copy(path, folder))
+        if callable(changes):
+            with h5py.File(copy, "a") as file:
                 changes(file)
-            for key, value in () if callable(changes) else changes.items():
-                place, _, attribute = key.partition("@")
-                if attribute:
-                    file[place or "/"].attrs[attribute] = value
-                    continue
-                old, kept = file.get(place), {}
-                if old is not None:
-                    value = value(old[...]) if callable(value) else value  # noqa: PLW2901
-                    kept = {k: v for k, v in old.attrs.items() if not k.endswith("_LIST")}
-                    del file[place]
-                if value is not None:
-                    file[place] = value
-                    file[place].attrs.update(kept)
+        else:
+            change_store(copy, changes)
 
     return make
 

@@ -1,23 +1,24 @@
-"""The laws of formats of 3D poses, over one table of what each carries, and their details.
+"""The laws of formats of 3D poses, over the table in `conformance.POSES`, and their details.
 
 What is written comes back; other programs read it; axes, units, names and covariances go along.
 """
 
-import io
 import itertools
+import shutil
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import c3d
 import h5netcdf
 import h5py
 import numpy as np
-import pandas
 import pytest
 import xarray
+from conformance import CORPUS, POSES
+from corruption import change_store
 from golden.command import call
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -25,28 +26,6 @@ from hypothesis import strategies as st
 import mocap_calib as mc
 from mocap_calib.types import World
 
-
-class Form(NamedTuple):
-    """What a format carries: one individual a file, its unit ("" = any), the rate, what is known
-    of points ("errors" or "all", with covariances), and the ending of its files.
-    """
-
-    ending: str
-    single: bool = False
-    unit: str = ""
-    rate: bool = True
-    known: str = ""
-
-
-FORMS = {
-    "poses-h5": Form(".h5", known="all"),
-    "npz": Form(".npz", known="all"),
-    "anipose-csv": Form(".csv", single=True, unit="arbitrary", rate=False, known="errors"),
-    "trc": Form(".trc", single=True),
-    "c3d": Form(".c3d", unit="mm"),
-    "movement-3d": Form(".nc", known="errors"),
-    "sleap-anipose": Form(".h5"),
-}
 NAMES = st.text("abcXYZ019_.- ", min_size=1, max_size=8).filter(lambda name: name == name.strip())
 
 
@@ -108,11 +87,11 @@ def seen(poses: mc.Poses3D) -> tuple[np.ndarray, np.ndarray]:
     return poses.frames[there], poses.positions[there]
 
 
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("name", POSES)
 @settings(max_examples=15, deadline=None)
 @given(data=st.data())
 def test_what_is_written_comes_back(name, data, tmp_path_factory):
-    form, folder = FORMS[name], tmp_path_factory.mktemp("poses")
+    form, folder = POSES[name], tmp_path_factory.mktemp("poses")
     poses, rate, names = data.draw(made_poses(1 if form.single else 3))
     path = folder / f"x{form.ending}"
     for place in "ab":
@@ -140,47 +119,6 @@ def test_what_is_written_comes_back(name, data, tmp_path_factory):
         assert beside["individuals"].tolist() == list(names)
 
 
-def _by_numpy(path):
-    with np.load(path) as archive:
-        return archive["frames"], archive["positions"]
-
-
-def _by_h5py(path):
-    with h5py.File(path) as file:
-        assert file["keypoint_names"][...].astype(str).tolist() == ["nose", "tail"]
-        assert (file.attrs["unit"], file.attrs["fps"]) == ("m", 60.0)
-        for dataset in file.values():
-            assert dataset.attrs["axes"].split(" (")[0].count(",") == dataset.ndim - 1
-            assert dataset.attrs["meaning"]
-        units = {name: dataset.attrs["unit"] for name, dataset in file.items()}
-        assert (units["position"], units["covariance"], units["error"]) == ("m", "m^2", "pixel")
-        return file["frames"][...], file["position"][...]
-
-
-def _by_pandas(path):
-    table = pandas.read_csv(path)
-    columns = [f"{name}_{axis}" for name in ("nose", "tail") for axis in "xyz"]
-    assert table[[f"M_{i}{j}" for i in range(3) for j in range(3)]].iloc[0].tolist() == list(
-        np.eye(3).ravel()
-    )
-    assert table["nose_ncams"].tolist() == [3, 0, 3, 3, 3]
-    return table["fnum"], table[columns].to_numpy().reshape(-1, 1, 2, 3)
-
-
-def _by_opensim(path):
-    """OpenSim 4.6 counts an empty last cell only where a tab follows it."""
-    lines = path.read_text().splitlines()
-    assert lines[0] == f"PathFileType\t4\t(X/Y/Z)\t{path.name}"
-    assert lines[2].split("\t") == ["60.0", "60.0", "6", "2", "m", "60.0", "3", "6"]
-    assert lines[3].rstrip("\t").split("\t") == ["Frame#", "Time", "nose", "", "", "tail"]
-    assert lines[4].strip("\t").split("\t") == ["X1", "Y1", "Z1", "X2", "Y2", "Z2"]
-    rows = [line.split("\t") for line in lines[5:]]
-    assert [row[1] for row in rows] == [repr(frame / 60) for frame in range(3, 9)]
-    assert all(len(row) >= 8 for row in rows)
-    points = [[float(cell or "nan") for cell in row[2:8]] for row in rows]
-    return [int(row[0]) for row in rows], np.reshape(points, (-1, 1, 2, 3))
-
-
 def _by_c3d(path):
     with path.open("rb") as file, warnings.catch_warnings(action="ignore"):  # no analog data
         reader = c3d.Reader(file)
@@ -197,32 +135,17 @@ def _by_xarray(path):
         return data["frame"].to_numpy(), data["position"].transpose(*order).to_numpy()
 
 
-def _by_sleap(path):
-    with h5py.File(path) as file:
-        tracks = file["tracks"][...]
-        return file["frames"][...], tracks
+OTHERS: dict[str, Callable] = {"c3d": _by_c3d, "movement-3d": _by_xarray}
 
 
-OTHERS: dict[str, Callable] = {
-    "npz": _by_numpy,
-    "poses-h5": _by_h5py,
-    "anipose-csv": _by_pandas,
-    "trc": _by_opensim,
-    "c3d": _by_c3d,
-    "movement-3d": _by_xarray,
-    "sleap-anipose": _by_sleap,
-}
-
-
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("name", OTHERS)
 def test_another_program_reads_what_is_written(name, tmp_path):
-    poses, path = example(1 if FORMS[name].single else 2), tmp_path / f"x{FORMS[name].ending}"
+    poses, path = example(), tmp_path / "x"
     mc.write(poses, path, name, fps=60.0)
     frames, positions = OTHERS[name](path)
     rows = [np.asarray(frames).tolist().index(frame) for frame in poses.frames]
     np.testing.assert_allclose(positions[rows], poses.positions, rtol=2e-7)
-    gaps = np.delete(np.asarray(positions), rows, axis=0)
-    assert np.isnan(gaps).all()
+    assert np.isnan(np.delete(positions, rows, axis=0)).all()
 
 
 # --- several files, individuals and axes
@@ -424,22 +347,6 @@ def test_stores_of_all_sizes_come_back_and_missing_points_take_little_room(shape
 # --- details of stores
 
 
-def edited(poses: mc.Poses3D, name: str, path: Path, changes: dict[str, object]) -> Path:
-    """Write poses and change datasets, or attributes of them (`path@attribute`); None removes."""
-    mc.write(poses, path, name, fps=60.0)
-    with h5py.File(path, "a") as file:
-        for key, value in changes.items():
-            place, _, attribute = key.partition("@")
-            if attribute:
-                file[place or "/"].attrs[attribute] = value
-                continue
-            if place in file:
-                del file[place]
-            if value is not None:
-                file[place] = value
-    return path
-
-
 TIMES = example().frames / 60.0
 NANOSECONDS = 1_700_000_000_000_000_000 + np.arange(5)  # a sum of six would not go into 64 bits
 DETAILS = [
@@ -471,7 +378,9 @@ DETAILS = [
 
 @pytest.mark.parametrize(("name", "changes", "expected"), DETAILS, ids=lambda each: str(each)[:40])
 def test_a_detail_of_a_store_is_read_or_refused(name, changes, expected, tmp_path):
-    path = edited(example(), name, tmp_path / "x", changes)
+    path = tmp_path / "x"
+    mc.write(example(), path, name, fps=60.0)
+    change_store(path, changes)
     if not isinstance(expected, str):
         np.testing.assert_array_equal(mc.read_poses(path).frames, expected)
         return
@@ -514,20 +423,14 @@ def test_movement_s_dimensions_come_in_any_order(said_by, tmp_path):
 
 
 def test_nwb_is_read_without_its_packages(tmp_path):
-    """Two keypoints in three dimensions, in millimetres; of one there is also a series of two."""
-    position = np.random.default_rng(0).normal(size=(2, 5, 3))
-    with h5py.File(tmp_path / "x.nwb", "w") as file:
-        for name, values in (("nose", position[0]), ("tail", position[1]), ("2D", np.ones((5, 2)))):
-            series = file.create_group(f"processing/behavior/mouse/{name}")
-            series.attrs["neurodata_type"] = "PoseEstimationSeries"
-            series["data"] = values
-            series["data"].attrs.update({"conversion": 1000.0, "unit": "millimeters"})
-            series["starting_time"] = 0.1
-            series["starting_time"].attrs["rate"] = 30.0
-    back = mc.read_poses(tmp_path / "x.nwb")
-    assert (back.keypoints, back.unit) == (("nose", "tail"), "mm")
-    assert back.frames.tolist() == [3, 4, 5, 6, 7]
-    np.testing.assert_allclose(back.positions[:, 0], 1000 * position.swapaxes(0, 1))
+    """In millimetres; a series of two dimensions is left out."""
+    shutil.copy(CORPUS / "poses/nwb-3d/poses.nwb", tmp_path / "x.nwb")
+    whole = mc.read_poses(tmp_path / "x.nwb")
+    assert (whole.unit, whole.frames.tolist()) == ("mm", [3, 4, 5, 6, 7])
+    place = "processing/behavior/mouse/2D"
+    changes = {f"{place}/data": np.ones((5, 2)), f"{place}@neurodata_type": "PoseEstimationSeries"}
+    change_store(tmp_path / "x.nwb", changes)
+    assert mc.read_poses(tmp_path / "x.nwb") == whole
     beside = known_of(tmp_path, "x.nwb")
     assert (beside["individuals"].tolist(), beside["fps"]) == (["mouse"], 30.0)
 
@@ -560,16 +463,3 @@ def test_no_zero_of_a_text_has_a_sign_and_what_is_missing_is_empty(name, tmp_pat
     *_, body = (tmp_path / "x").read_text().partition("fnum" if name == "anipose-csv" else "X1")
     assert "-" not in body
     assert "nan" not in body
-
-
-NOTHING = [b"", b"{}", b"hello", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04", b"PathFileType\n"]
-PICKLE = io.BytesIO()
-np.savez(PICKLE, positions=np.array([{}], dtype=object))
-
-
-@pytest.mark.parametrize("name", [*FORMS, "nwb-3d", "bvh", "blender", "rerun"])
-def test_a_format_that_is_named_refuses_what_is_not_it(name, tmp_path):
-    for content in [*NOTHING, b"\x02\x50" + bytes(600), PICKLE.getvalue()]:
-        (tmp_path / "x").write_bytes(content)
-        with pytest.raises((mc.FormatError, mc.MismatchError), match=r"expected|only written"):
-            mc.read_poses(tmp_path / "x", name)
