@@ -6,7 +6,7 @@ without either leaves it open ("arbitrary") until someone says it.
 """
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, takewhile
 from pathlib import Path, PurePath
@@ -16,9 +16,10 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
-from mocap_calib.io.cameras import CameraFile, unique
+from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.document import Document, as_document
+from mocap_calib.io.file import find_repeated
 from mocap_calib.io.format import (
     Format,
     Written,
@@ -180,7 +181,7 @@ def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile
         raise folder.refuse("files in one unit of length", found, "convert one of them")
     judged = parts[0].judgement
     return CameraFile(
-        cameras=unique((camera for each in parts for camera in each.cameras), str(path)),
+        cameras=_unique((camera for each in parts for camera in each.cameras), str(path)),
         extrinsics={name: given for each in parts for name, given in each.extrinsics.items()},
         unit=units[0],
         notes=tuple(note for each in parts for note in each.notes),
@@ -195,6 +196,17 @@ def _list_files(path: Path, endings: tuple[str, ...]) -> list[Path]:
         for file in path.iterdir()
         if file.suffix.lower() in endings and file.is_file() and not file.name.startswith(".")
     )
+
+
+def _unique(cameras: Iterable[Camera], source: str) -> tuple[Camera, ...]:
+    """Return the cameras. Raises FormatError where there is none, or two have one name."""
+    kept = tuple(cameras)
+    if twice := find_repeated(camera.name for camera in kept):
+        found = f"{', '.join(twice)} twice"
+        raise FormatError(source, "each camera name once", found, "rename one of them")
+    if not kept:
+        raise FormatError(source, "at least one camera", "none", "export the cameras again")
+    return kept
 
 
 def _complete(found: CameraFile, form: Format, document: Document, unit: str | None) -> CameraFile:
@@ -224,7 +236,7 @@ def _complete(found: CameraFile, form: Format, document: Document, unit: str | N
     ]
     return replace(
         found,
-        cameras=unique(cameras, source),
+        cameras=_unique(cameras, source),
         extrinsics=extrinsics,
         unit=(unit or form.unit or ARBITRARY) if stated == ARBITRARY else stated,
         notes=(*found.notes, *alike),

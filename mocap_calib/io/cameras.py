@@ -4,29 +4,32 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.camera_checks import make_camera, make_extrinsics
-from mocap_calib.io.document import Document, typed
-from mocap_calib.io.file import find_repeated
+from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
+from mocap_calib.io.document import need, typed
 from mocap_calib.io.provenance import read_judgement
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, CameraClock, CameraRig, Floats, World
 
-REMEDY = "export the cameras again"
 # what names may be that become those of files: a pattern, and words for it
 FILE_NAME = (
     r"(?!\.)[^\x00-\x1f\x7f-\x9f/\\\"\u2028\u2029\ud800-\udfff]{1,80}",
     "characters that a file name may have",
 )
 _IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_LONG_DISTORTION = 12  # OpenCV's thin prism and tilt, which bundle adjustment does not have
+_LARGEST_SIZE = 1e6  # pixels
+_NOT_A_ROTATION = 1e-2  # real files round to three or four digits
+_ROUNDED = 1e-9
+_UNSEEN = 0.05  # pixels, well below what any detector resolves
+_SKEWED = 1e-3  # of the focal length, wherever the principal point may be
 # `[3, 3]` rotation and `[3]` translation of cam_from_world
 Extrinsics = tuple[Floats, Floats]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -61,36 +64,44 @@ class CameraFile:
 class RawCamera:
     """A camera as a file has it, of which nothing is checked yet.
 
-    matrix: `[3, 3]`, or `[9]`. distortion: `[coefficient]` in OpenCV's order.
-    size: (width, height) in pixels, None where it is not known.
-    rotation: `[3, 3]` or a vector `[3]`, of cam_from_world. translation: `[3]`; or centre: `[3]`
-        in world coordinates. There are no extrinsics where rotation, or both of these, are None.
+    Numbers are nested lists, or a mapping of `rows`, `cols` and `data` as OpenCV and ROS write it.
+
+    matrix: 3 x 3 numbers, row after row. distortion: in OpenCV's order.
+    size: (width, height) in pixels, None or (None, None) where it is not known.
+    rotation: 3 x 3 numbers, or a vector of 3, of cam_from_world. translation: 3 numbers; or centre:
+        3 numbers in world coordinates. There are no extrinsics where rotation, or both of these,
+        are None.
+    by_columns: matrix and rotation are column after column, as they are for row vectors.
     """
 
-    name: str
-    matrix: Any
+    name: Any
+    matrix: Any = None
     distortion: Any = None
     size: Any = None
     fisheye: bool = False
     rotation: Any = None
     translation: Any = None
     centre: Any = None
+    by_columns: bool = False
 
     def check(self, source: str) -> tuple[Camera, Extrinsics | None]:
         """Return the camera, and its extrinsics where it has some. Raises FormatError."""
         where = f"{source}: camera {self.name}"
-        camera = make_camera(
-            name=self.name,
-            size=self.size,
-            matrix=self.matrix,
-            distortion=self.distortion,
+        size = _check_size(self.size, where)
+        matrix = numbers(self.matrix, "a 3 x 3 camera matrix", where, 9).reshape(3, 3)
+        camera = Camera(
+            name=str(self.name),
+            size=size,
+            matrix=_check_matrix(matrix.T if self.by_columns else matrix, size, where),
+            distortion=_check_distortion(self.distortion, self.fisheye, where),
             fisheye=self.fisheye,
-            source=where,
         )
-        offset = self.translation if self.centre is None else self.centre
-        if self.rotation is None or offset is None:
+        given = self.translation if self.centre is None else self.centre
+        if self.rotation is None or given is None:
             return camera, None
-        rotation, offset = make_extrinsics(self.rotation, offset, where)
+        rotation = _check_rotation(self.rotation, where)
+        rotation = rotation.T if self.by_columns else rotation
+        offset = numbers(given, "a translation of 3 numbers", where, 3).ravel()
         return camera, (rotation, offset if self.centre is None else -rotation @ offset)
 
 
@@ -105,11 +116,11 @@ def collect_cameras(
 ) -> CameraFile:
     """Return the cameras of a file, checked; the other arguments are what the file has beside them.
 
-    Raises FormatError, also where there is no camera, or two have one name.
+    Raises FormatError.
     """
     placed = [raw.check(source) for raw in found]
     return CameraFile(
-        cameras=unique((camera for camera, _ in placed), source),
+        cameras=tuple(camera for camera, _ in placed),
         extrinsics={camera.name: given for camera, given in placed if given is not None},
         unit=str(unit),
         notes=tuple(notes),
@@ -118,31 +129,26 @@ def collect_cameras(
     )
 
 
-def unique(cameras: Iterable[Camera], source: str) -> tuple[Camera, ...]:
-    """Return the cameras as they are.
+def entries(tree: Any, source: str, *keys: str) -> list[tuple[str, dict[str, Any]]]:
+    """Return (name or number, fields) of a mapping or a list of mappings that have the keys.
 
-    Raises FormatError where there is none, or two have one name.
-    """
-    kept = tuple(cameras)
-    twice = find_repeated(camera.name for camera in kept)
-    if twice:
-        found = f"{', '.join(twice)} twice"
-        raise FormatError(source, "each camera name once", found, "rename one of them")
-    if not kept:
-        raise FormatError(source, "at least one camera", "none", REMEDY)
-    return kept
-
-
-def entries(kind: type[T], tree: Any, source: str, expected: str) -> list[tuple[str, T]]:
-    """Return (name or number, record) of a mapping or a list of mappings. Raises FormatError.
-
-    expected: what they are, for the complaint.
+    Raises FormatError.
     """
     named = dict(enumerate(tree)) if isinstance(tree, list) else tree
-    found = typed(named, dict[Any, kind], source, expected)  # type: ignore[valid-type]
-    if not found:
-        raise FormatError(source, expected, "none", REMEDY)
-    return [(str(name), record) for name, record in found.items()]
+    expected = f"cameras with {', '.join(keys)}"
+    found = typed(named, dict[Any, dict[str, Any]], source, expected)
+    for name, fields in found.items():
+        need(fields, keys, f"{source}: camera {name}")
+    return [(str(name), fields) for name, fields in found.items()]
+
+
+def pick(fields: Mapping[str, Any], **keys: str | tuple[str, ...]) -> dict[str, Any]:
+    """Return fields by our names: each that is under its key here, or the first of its keys."""
+    found = {}
+    for name, known in keys.items():
+        there = [key for key in (known if isinstance(known, tuple) else (known,)) if key in fields]
+        found[name] = fields[there[0]] if there else None
+    return found
 
 
 def pinhole_matrix(fx: Any, fy: Any, cx: Any, cy: Any) -> list[list[Any]]:
@@ -150,18 +156,107 @@ def pinhole_matrix(fx: Any, fy: Any, cx: Any, cy: Any) -> list[list[Any]]:
     return [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
 
 
-def has_json_entry(document: Document, *keys: str) -> bool:
-    """Return whether a JSON mapping has an entry with the keys, at its top or in a list there."""
-    if document.syntax != "json" or not isinstance(document.tree, dict):
-        return False
-    lists = (each if isinstance(each, list) else [each] for each in document.tree.values())
-    return any(isinstance(each, dict) and each.keys() >= set(keys) for one in lists for each in one)
-
-
 def camera_of_image(name: str) -> str:
     """Return the name of the camera that took an image: the image's without its ending."""
     start, dot, ending = name.rpartition(".")
     return start if start and dot + ending.lower() in _IMAGE_ENDINGS else name
+
+
+# --- checks
+
+
+def numbers(value: Any, expected: str, source: str, *counts: int) -> Floats:
+    """Return numbers as an array `[...]`: nested lists, or a matrix as OpenCV and ROS write it.
+
+    expected: for the refusal. counts: how many finite numbers there may be; any, and NaN too, where
+    there is none.
+
+    Raises FormatError.
+    """
+    try:
+        is_matrix = isinstance(value, dict)
+        found = np.array(value["data"] if is_matrix else value, dtype=np.float64)
+        if is_matrix:
+            found = found.reshape(int(value["rows"]), int(value["cols"]))
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise FormatError(source, expected, f"an error ({error})", "correct the numbers") from None
+    if counts and not (found.size in counts and np.isfinite(found).all()):
+        there = "none" if value is None else found.tolist()
+        raise FormatError(source, expected, there, "correct the numbers")
+    return found
+
+
+def skew_in_pixels(matrix: Floats, height: int = 0) -> float:
+    """Return by how much the skew of a `[3, 3]` camera matrix moves what is seen at the edge.
+
+    height: of the image; 0: not known, and the principal point is taken to be in the middle.
+    """
+    fy, cy = matrix[1, 1:]
+    with np.errstate(all="ignore"):  # numbers of a damaged file
+        farthest = max(abs(cy), abs(height - cy) if height else 0.0)
+        return float(abs(matrix[0, 1]) * farthest / fy)
+
+
+def _check_size(value: Any, source: str) -> tuple[int, int]:
+    """Return (width, height); (0, 0) where the file does not say."""
+    if value is None or (isinstance(value, list) and None in value):
+        return (0, 0)
+    expected = "a size [width, height] in pixels"
+    size = numbers(value, expected, source, 2).ravel()
+    if (size != size.round()).any() or (size < 0).any() or (size > _LARGEST_SIZE).any():
+        raise FormatError(source, expected, value, "correct the size")
+    return int(size[0]), int(size[1])
+
+
+def _check_rotation(value: Any, source: str) -> Floats:
+    """Return the `[3, 3]` rotation of a vector, or of a matrix before its numbers were rounded."""
+    given = numbers(value, "a rotation (3 x 3, or a vector of 3)", source, 3, 9)
+    with np.errstate(all="ignore"):  # numbers of a damaged file
+        matrix = matrix_from_vector(given.ravel()) if given.size == 3 else given.reshape(3, 3)
+        excess = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if not excess <= _NOT_A_ROTATION or np.linalg.det(matrix) < 0:
+        expected = "a rotation (orthonormal, determinant 1)"
+        remedy = "check the axes and the order of the rows"
+        raise FormatError(source, expected, "another matrix", remedy)
+    return nearest_rotation(matrix) if excess > _ROUNDED else matrix
+
+
+def _check_matrix(matrix: Floats, size: tuple[int, int], source: str) -> Floats:
+    """Return the `[3, 3]` camera matrix; a skew that nobody sees is set to 0."""
+    if (matrix[2, :2] != 0).any() or matrix[2, 2] != 1 or matrix[1, 0] != 0:
+        expected = "a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        advice = "transpose it if it came from MATLAB"
+        raise FormatError(source, expected, matrix.tolist(), advice)
+    if min(matrix[0, 0], matrix[1, 1]) <= 0:
+        found = matrix[[0, 1], [0, 1]].tolist()
+        raise FormatError(source, "positive focal lengths", found, "correct the camera matrix")
+    # OpenCV's pinhole model drops a skew silently, and COLMAP's fisheye model has none
+    moved = skew_in_pixels(matrix, size[1])
+    if moved > _UNSEEN or abs(matrix[0, 1]) > _SKEWED * matrix[0, 0]:
+        found = f"skew {matrix[0, 1]:.6g}, which moves pixels by up to {moved:.2g}"
+        advice = "calibrate without skew, or write 0 where that is near enough"
+        raise FormatError(source, "a camera matrix without skew", found, advice)
+    return matrix * [[1, 0, 1], [0, 1, 1], [0, 0, 1]]
+
+
+def _check_distortion(value: Any, fisheye: bool, source: str) -> Floats:
+    """Return as many coefficients as the model takes, `[4 | 5 | 8]`, or `[4]` of a fisheye.
+
+    Missing ones are 0, and zeros too many are dropped.
+    """
+    given = numbers([] if value is None else value, "distortion coefficients", source).ravel()
+    used = int(np.flatnonzero(given).max(initial=-1)) + 1
+    count = 4 if fisheye or len(given) == 4 else 5
+    if not fisheye and (len(given) == 8 or len(given) >= _LONG_DISTORTION):
+        count = 8
+    # k1, k2 alone are clear; three may be k1 k2 k3 or k1 k2 p1
+    clear = used <= count and (fisheye or len(given) != 3 or used < 3)
+    if not clear or not np.isfinite(given).all():
+        model = "4 distortion coefficients of the fisheye model"
+        if not fisheye:
+            model = "4, 5 or 8 distortion coefficients of OpenCV's model, no thin prism, no tilt"
+        raise FormatError(source, model, given.tolist(), "calibrate with one of them")
+    return np.pad(given, (0, 8))[:count]
 
 
 # --- for writers
@@ -195,28 +290,29 @@ def check_rig(
         if camera.fisheye and not fisheye:
             raise cannot(name, camera.name, "a pinhole camera", "a fisheye camera")
         if not camera.fisheye and camera.distortion[terms:].any():
-            found = f"{camera.distortion.tolist()}"
-            if not terms:
-                expected, advice = "a camera without distortion", "undistort the images first"
-                raise cannot(name, camera.name, expected, found, advice)
-            expected = f"{terms} distortion coefficients"
-            raise cannot(name, camera.name, expected, f"more ({found})")
+            expected = (
+                f"{terms} distortion coefficients" if terms else "a camera without distortion"
+            )
+            raise cannot(name, camera.name, expected, camera.distortion.tolist())
     known = any(0 not in camera.size for camera in rig.cameras)
     lost = ("image sizes",) if sizes == "lost" and known else ()
     return lost if verdict or "verdict" not in provenance else (*lost, "the verdict on the rig")
 
 
-def cannot(
-    name: str, camera: str, expected: str, found: object, remedy: str = "write another format"
-) -> MismatchError:
-    """Return the complaint of a format (`name`) that does not have what the camera has."""
-    expected = f"{expected}, which is all the format has"
-    return MismatchError(f"{name}: camera {camera}", expected, found, remedy)
+def cannot(name: str, camera: str, expected: str, found: object) -> MismatchError:
+    """Return the refusal of a format (`name`) that does not have what the camera has."""
+    where, expected = f"{name}: camera {camera}", f"{expected}, which is all the format has"
+    return MismatchError(where, expected, found, "write another format")
 
 
-def lens_terms(camera: Camera, count: int) -> list[float]:
-    """Return k1 k2 p1 p2 (k3 (k4 k5 k6)), or the four of a fisheye: `count`, padded with zeros."""
-    return np.pad(camera.distortion, (0, 8))[:count].tolist()
+def lens_terms(camera: Camera, count: int) -> Floats:
+    """Return k1 k2 p1 p2 (k3 (k4 k5 k6)), or the four of a fisheye: `[count]`, with zeros."""
+    return np.pad(camera.distortion, (0, 8))[:count]
+
+
+def pinhole_terms(camera: Camera) -> list[float]:
+    """Return fx, fy, cx and cy."""
+    return camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
 
 
 def need_names(

@@ -242,11 +242,20 @@ class Document:
         need(self.tree, keys, self.source)
         return self.tree
 
-    def has(self, syntax: str, *keys: str) -> bool:
+    def has(self, syntax: str, keys: Iterable[str] = ()) -> bool:
         """Return whether the file is a mapping of that syntax with all of the keys."""
-        if self.syntax != syntax or not isinstance(self.tree, dict):
+        return self.syntax == syntax and isinstance(self.tree, dict) and {*keys} <= {*self.tree}
+
+    def has_line(self, pattern: str) -> bool:
+        """Return whether the file is YAML with a line that the pattern finds."""
+        return self.syntax == "yaml" and re.search(pattern, self.text, re.M) is not None
+
+    def has_entry(self, keys: Iterable[str]) -> bool:
+        """Return whether a JSON mapping has an entry with the keys, or a list of such."""
+        if not self.has("json"):
             return False
-        return self.tree.keys() >= set(keys)
+        lists = (each if isinstance(each, list) else [each] for each in self.tree.values())
+        return any(isinstance(each, dict) and {*keys} <= {*each} for one in lists for each in one)
 
     @property
     def is_json(self) -> bool:
@@ -332,9 +341,11 @@ def _describe_json(content: Any) -> str:
     return f"a JSON list of {len(content)}"
 
 
-def describe_names(names: Iterable[object]) -> str:
-    """Return the first of some names."""
-    return ", ".join(map(str, list(names)[:8])) or "nothing"
+def describe_names(value: Any) -> str:
+    """Return the first names in a mapping, or the type of what is none."""
+    if not isinstance(value, Mapping):
+        return type(value).__name__
+    return ", ".join(map(str, list(value)[:8])) or "nothing"
 
 
 def typed(tree: Any, kind: type[T], source: str, expected: str = "") -> T:

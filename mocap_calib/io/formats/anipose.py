@@ -11,23 +11,31 @@ translation of cam_from_world.
   camera may have no intrinsics, or the text "null" for its extrinsics.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import tomli_w
 
 from mocap_calib import __version__
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.io.camera_checks import describe_keys
-from mocap_calib.io.cameras import CameraFile, RawCamera, check_rig, collect_cameras, lens_terms
-from mocap_calib.io.document import Document
+from mocap_calib.io.cameras import (
+    CameraFile,
+    RawCamera,
+    check_rig,
+    collect_cameras,
+    lens_terms,
+    pick,
+)
+from mocap_calib.io.document import Document, describe_names
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.formats.own_cameras import estimated_fields
 from mocap_calib.io.provenance import plain_fields
 from mocap_calib.io.world_fields import read_world, stated_world
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.types import Camera, CameraRig, EstimatedCamera
+from mocap_calib.types import Camera, CameraRig, EstimatedCamera, PosedCamera
 
 # sections that Pose2Sim passes over
 _NOT_CAMERAS = ("metadata", "capture_volume", "charuco", "checkerboard")
@@ -39,7 +47,7 @@ _CAMERA_NAMES = (
 
 def sniff_caliscope(document: Document) -> bool:
     """Return whether cameras are one level down, by number."""
-    if not document.has("toml", "cameras"):
+    if not document.has("toml", ["cameras"]):
         return False
     return any("cam_id" in fields for _, fields in _tables(document.tree["cameras"]))
 
@@ -65,11 +73,6 @@ def _is_pose2sim_camera(name: str, fields: Mapping[str, Any]) -> bool:
     return fields.get("name") == name and "fisheye" in fields and sized
 
 
-def sniff_anipose(document: Document) -> bool:
-    """Return whether the file is TOML of any content."""
-    return document.syntax == "toml"
-
-
 def _tables(data: Any) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield (name, fields) of the tables in a table."""
     if isinstance(data, dict):
@@ -82,11 +85,16 @@ def _tables(data: Any) -> Iterator[tuple[str, dict[str, Any]]]:
 def read(document: Document) -> CameraFile:
     """Read the cameras in TOML of any of the programs. Raises FormatError."""
     data = document.mapping()
+    sections = list(_sections(data))
+    if not sections:
+        expected, remedy = (
+            "sections with a camera's size, matrix and distortions",
+            "export it again",
+        )
+        raise document.refuse(expected, describe_names(data), remedy)
     raws: list[RawCamera] = []
     notes: list[str] = []
-    sections = False
-    for section, fields in _sections(data):
-        sections = True
+    for section, fields in sections:
         name = str(fields.get("name", section))
         if not isinstance(fields.get("matrix"), list):
             notes.append(f"camera {name} has no intrinsics and is left out")
@@ -96,17 +104,15 @@ def read(document: Document) -> CameraFile:
                 f"camera {name} is shown turned by caliscope; its matrix is of the images as they "
                 "were recorded"
             )
-        raws.append(_raw_camera(name, fields))
-    if not sections:
-        expected = "sections with a camera's size, matrix and distortions"
-        found = describe_keys(data) or "nothing"
-        raise document.refuse(expected, found, "export anipose's calibration.toml")
+        keys = {each: each for each in ("size", "matrix", "rotation", "translation")}
+        found = pick(fields, **keys, distortion="distortions")
+        # caliscope writes the text "null" where it has no extrinsics
+        found = {key: None if value == "null" else value for key, value in found.items()}
+        raws.append(RawCamera(name=name, fisheye=fields.get("fisheye") is True, **found))
     metadata = dict(_tables(data)).get("metadata", {})
     unit, provenance = metadata.get("unit", ""), metadata.get("provenance")
-    found_cameras = collect_cameras(
-        raws, document.source, unit=unit, notes=notes, provenance=provenance
-    )
-    return replace(found_cameras, world=read_world(metadata.get("world")))
+    cameras = collect_cameras(raws, document.source, unit=unit, notes=notes, provenance=provenance)
+    return replace(cameras, world=read_world(metadata.get("world")))
 
 
 def _sections(data: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -123,21 +129,6 @@ def _sections(data: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield inner_name, inner
 
 
-def _raw_camera(name: str, fields: Mapping[str, Any]) -> RawCamera:
-    """Return a camera; caliscope writes the text "null" where it has no extrinsics."""
-    rotation, translation = fields.get("rotation"), fields.get("translation")
-    placed = isinstance(rotation, list) and isinstance(translation, list)
-    return RawCamera(
-        name=name,
-        size=fields.get("size"),
-        matrix=fields["matrix"],
-        distortion=fields.get("distortions"),
-        fisheye=fields.get("fisheye", False) is True,
-        rotation=rotation if placed else None,
-        translation=translation,
-    )
-
-
 # --- writing
 
 
@@ -150,89 +141,58 @@ def format_calibration_toml(rig: CameraRig, provenance: Mapping[str, Any]) -> st
     """Return the file of anipose; rotations are Rodrigues vectors, lengths in the rig's unit."""
     digits = len(str(len(rig.cameras) - 1))  # aniposelib sorts the sections as text
     sections = {
-        f"cam_{view:0{digits}}": _fields(rig, view) | ({"fisheye": True} if each.fisheye else {})
-        for view, each in enumerate(rig.cameras)
+        f"cam_{view:0{digits}}": _fields(camera) | _fisheye(camera)
+        for view, camera in enumerate(rig)
     }
-    metadata = _metadata(rig, provenance) | {"generator": f"mocap-calib {__version__}"}
     estimated = {
         camera.name: estimated_fields(camera)
         for camera in rig.cameras
         if isinstance(camera, EstimatedCamera)
     }
-    if estimated:
-        metadata["estimated_intrinsics"] = estimated
-    if provenance:
-        metadata["provenance"] = plain_fields(provenance)
-    return _dump_toml(sections | {"metadata": metadata})
+    more = {"generator": f"mocap-calib {__version__}", "estimated_intrinsics": estimated or None}
+    return _format(sections, rig, provenance, more)
 
 
 def format_intrinsics_toml(cameras: tuple[Camera, ...]) -> str:
     """Return the file of anipose without the keys of the extrinsics."""
     return _dump_toml(
         {
-            f"cam_{view}": _intrinsics(camera) | ({"fisheye": True} if camera.fisheye else {})
+            f"cam_{view}": _intrinsics(camera) | _fisheye(camera)
             for view, camera in enumerate(cameras)
         }
     )
-
-
-def _intrinsics(camera: Camera) -> dict[str, Any]:
-    return {
-        "name": camera.name,
-        "size": list(camera.size),
-        "matrix": camera.matrix.tolist(),
-        "distortions": camera.distortion.tolist(),
-    }
-
-
-def _fields(rig: CameraRig, view: int) -> dict[str, Any]:
-    """Return the fields of a camera that anipose and its descendants share, in their order."""
-    return _intrinsics(rig.cameras[view]) | {
-        "rotation": vector_from_matrix(rig.rotation[view]).tolist(),
-        "translation": rig.translation[view].tolist(),
-    }
-
-
-def _metadata(rig: CameraRig, provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what anipose states of its cameras: adjusted to the animal's points, and the error.
-
-    anipose calls error the median over the points of the mean reprojection error over the cameras,
-    in pixels, and leaves out what it does not know (calibrate.py).
-    """
-    metadata: dict[str, Any] = {"adjusted": bool(provenance.get("adjusted", False))}
-    if "reprojection_error_px" in provenance:
-        metadata["error"] = provenance["reprojection_error_px"]
-    # in here: aniposelib takes every other table of a file for a camera
-    return metadata | {"unit": rig.unit, **stated_world(rig.world, rig.unit)}
 
 
 def write_pose2sim(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write Pose2Sim's Calib.toml, which goes by the order of the cameras. Raises MismatchError."""
     lost = check_rig(rig, provenance, "pose2sim", sizes="needed", names=_CAMERA_NAMES)
     sections = {}
-    for view, camera in enumerate(rig.cameras):
+    for camera in rig:
         terms = lens_terms(camera, 8)  # its own files have 4, it reads as many as there are
-        sections[camera.name] = _fields(rig, view) | {
+        count = max(4, int(terms.nonzero()[0].max(initial=0)) + 1)
+        sections[camera.name] = _fields(camera) | {
             "size": [float(length) for length in camera.size],
-            "distortions": terms if any(terms[5:]) else terms[: 5 if terms[4] else 4],
+            "distortions": terms[: count if count < 6 else 8],
             "fisheye": False,
         }
-    return Written({"Calib.toml": _dump(sections, rig, provenance)}, lost)
+    return Written({"Calib.toml": _format(sections, rig, provenance).encode()}, lost)
 
 
 def write_freemocap(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write FreeMoCap's calibration, in its order of fields. Raises MismatchError."""
     lost = check_rig(rig, provenance, "freemocap", terms=5, sizes="needed")
-    sections = {}
-    for view, camera in enumerate(rig.cameras):
-        sections[f"cam_{view}"] = _fields(rig, view) | {
+    sections = {
+        f"cam_{view}": _fields(camera)
+        | {
             "distortions": lens_terms(camera, 5),
             "id": camera.name,
             "index": view,
-            "world_orientation": rig.rotation[view].T.tolist(),
-            "world_position": rig.centres[view].tolist(),
+            "world_orientation": camera.rotation.T,
+            "world_position": camera.centre,
         }
-    return Written({"calibration.toml": _dump(sections, rig, provenance)}, lost)
+        for view, camera in enumerate(rig)
+    }
+    return Written({"calibration.toml": _format(sections, rig, provenance).encode()}, lost)
 
 
 def write_caliscope(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
@@ -241,23 +201,65 @@ def write_caliscope(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     Raises MismatchError.
     """
     lost = check_rig(rig, provenance, "caliscope", terms=5, fisheye=True, sizes="needed")
-    numbered = all(name.isascii() and name.isdigit() for name in rig.names)
-    numbered = numbered and all(str(int(name)) == name for name in rig.names)
+    numbered = all(re.fullmatch("0|[1-9][0-9]*", name) for name in rig.names)
     cameras = {}
-    for view, camera in enumerate(rig.cameras):
-        number = camera.name if numbered else str(view)
-        own = {"cam_id": int(number), "rotation_count": 0, "ignore": False}
-        terms = lens_terms(camera, 4 if camera.fisheye else 5)
-        lens = {"distortions": terms, "fisheye": camera.fisheye}
-        cameras[number] = own | _fields(rig, view) | lens
+    for view, camera in enumerate(rig):
+        number = int(camera.name) if numbered else view
+        cameras[str(number)] = {
+            **{"cam_id": number, "rotation_count": 0, "ignore": False},
+            **_fields(camera),
+            "distortions": lens_terms(camera, 4 if camera.fisheye else 5),
+            "fisheye": camera.fisheye,
+        }
     if not numbered:
         lost = (*lost, "the cameras' names, to caliscope itself: it counts them from 0")
-    return Written({"camera_array.toml": _dump({"cameras": cameras}, rig, provenance)}, lost)
+    content = _format({"cameras": cameras}, rig, provenance).encode()
+    return Written({"camera_array.toml": content}, lost)
 
 
-def _dump(sections: Mapping[str, Any], rig: CameraRig, provenance: Mapping[str, Any]) -> bytes:
-    metadata = _metadata(rig, provenance) | {"provenance": plain_fields(provenance)}
-    return _dump_toml({**sections, "metadata": metadata}).encode()
+def _intrinsics(camera: Camera) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "size": camera.size,
+        "matrix": camera.matrix,
+        "distortions": camera.distortion,
+    }
+
+
+def _fields(camera: PosedCamera) -> dict[str, Any]:
+    """Return the fields of a camera that anipose and its descendants share, in their order."""
+    rotation = vector_from_matrix(camera.rotation)
+    return _intrinsics(camera) | {"rotation": rotation, "translation": camera.translation}
+
+
+def _fisheye(camera: Camera) -> dict[str, bool]:
+    return {"fisheye": True} if camera.fisheye else {}
+
+
+def _format(
+    sections: Mapping[str, Any],
+    rig: CameraRig,
+    provenance: Mapping[str, Any],
+    more: Mapping[str, Any] | None = None,
+) -> str:
+    """Return a file of the sections and of what anipose states of its cameras (`metadata`).
+
+    That is whether they were adjusted to the animal's points, and the error: the median over the
+    points of the mean reprojection error over the cameras, in pixels, which anipose leaves out
+    where it does not know it (calibrate.py).
+
+    more: further metadata.
+    """
+    # in here: aniposelib takes every other table of a file for a camera
+    metadata = {
+        "adjusted": bool(provenance.get("adjusted", False)),
+        "error": provenance.get("reprojection_error_px"),
+        "unit": rig.unit,
+        **stated_world(rig.world, rig.unit),
+        **(more or {}),
+        "provenance": plain_fields(provenance) or None,
+    }
+    return _dump_toml({**sections, "metadata": metadata})
 
 
 def _dump_toml(document: Mapping[str, Any]) -> str:
@@ -308,7 +310,7 @@ ANIPOSE = Format(
     kind="cameras",
     name="anipose",
     title="anipose calibration.toml",
-    sniff=sniff_anipose,
+    sniff=partial(Document.has, syntax="toml"),
     read=read,
     write=write_anipose,
     endings=(".toml",),

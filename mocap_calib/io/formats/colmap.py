@@ -21,11 +21,6 @@ from mocap_calib.io.format import Format, Written
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import ARBITRARY, CameraRig
 
-# the camera models that have a lens of ours; those of a FISHEYE have cv2.fisheye's
-LENSES = (
-    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"),
-    *("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"),
-)
 _BINARY, _TEXT = ".bin", ".txt"
 _CAMERAS, _IMAGES, _POINTS = "cameras", "images", "points3D"
 _FILES = (_CAMERAS, _IMAGES, _POINTS, "rigs", "frames")
@@ -49,10 +44,7 @@ def sniff_text(document: Document) -> bool:
     """Return whether this is a folder with cameras.txt, or cameras.txt itself."""
     if document.is_folder:
         return _CAMERAS + _TEXT in document.names
-    if document.syntax != "yaml":
-        return False
-    rows = [line.split() for line in document.text.splitlines()[:8]]
-    return any(len(row) > 1 and row[1] in LENSES for row in rows)
+    return document.has_line(r"^\d+ +[A-Z_]+ +\d+ +\d+ ")
 
 
 # --- reading
@@ -77,27 +69,26 @@ def _read(document: Document, ending: str) -> CameraFile:
     if document.is_folder:
         files = {each.path.name: each.content for each in document.documents()}
     with_images = _IMAGES + ending in files
-    for name in (_CAMERAS, _IMAGES, _POINTS):
-        files.setdefault(name + ending, _EMPTY[ending])
+    files = {f"{name}{ending}": _EMPTY[ending] for name in (_CAMERAS, _IMAGES, _POINTS)} | files
+    files = {name: files[name] for name in (each + ending for each in _FILES) if name in files}
+    unit = b""
     if ending == _TEXT:
         files[_IMAGES + _TEXT] += _LINE_OF_POINTS
-    own = {name + ending: files[name + ending] for name in _FILES if name + ending in files}
-    lines = own[_CAMERAS + ending].splitlines() if ending == _TEXT else []
-    units = (line.removeprefix(_UNIT) for line in lines if line.startswith(_UNIT))
-    unit = next(units, b"").decode("utf-8", "replace").strip()[:_UNIT_LENGTH]
+        lines = files[_CAMERAS + _TEXT].splitlines()
+        unit = next((line for line in lines if line.startswith(_UNIT)), b"").removeprefix(_UNIT)
     with tempfile.TemporaryDirectory() as work:
-        for name, content in own.items():
+        for name, content in files.items():
             (Path(work) / name).write_bytes(content)
         return guard(
             _read_model,
             Path(work),
             with_images,
-            unit,
+            unit.decode("utf-8", "replace").strip()[:_UNIT_LENGTH],
             document.source,
             what="COLMAP model",
             library="COLMAP",
             source=document.source,
-            size=sum(map(len, own.values())),
+            size=sum(map(len, files.values())),
             packed=False,
         )
 

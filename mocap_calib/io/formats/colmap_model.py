@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -20,15 +21,22 @@ from mocap_calib.io.cameras import (
     RawCamera,
     camera_of_image,
     collect_cameras,
+    lens_terms,
     pinhole_matrix,
+    pinhole_terms,
 )
-from mocap_calib.io.formats.colmap import LENSES
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, CameraRig
 
+# the camera models that have a lens of ours; those of a FISHEYE have cv2.fisheye's
+_LENSES = (
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"),
+    *("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"),
+)
 _LENGTHS_OF_QUATERNIONS = (0.5, 2.0)  # what rounding of a unit quaternion may leave, and more
 _REMEDY = "export the model again"
-_REFUSALS = (ValueError, LookupError, RuntimeError, TypeError, OverflowError)  # of pycolmap
+# of pycolmap
+_REFUSALS = (ValueError, LookupError, RuntimeError, TypeError, OverflowError, MemoryError)
 # what COLMAP complains of, by a part of the condition in its code that does not hold
 _REASONS = {
     "VerifyParams": "a camera without the parameters of its model",
@@ -48,68 +56,52 @@ def read(folder: Path, *, with_images: bool, unit: str, source: str) -> CameraFi
 
     Raises FormatError.
     """
-    with silent_colmap():
-        model = _load(folder, source)
+    try:
+        with silent_colmap():
+            model = pycolmap.Reconstruction(folder)
+            _check_sizes(model, folder, source)
+            images = [image for _, image in sorted(model.images.items()) if image.has_pose]
+            names = [camera_of_image(image.name) for image in images]
+    except _REFUSALS as error:
+        known = (reason for part, reason in _REASONS.items() if part in str(error))
+        reason = next(known, f"maybe it is cut or damaged ({str(error).rpartition('] ')[2]})")
+        found = f"one that COLMAP does not read: {reason}"
+        raise FormatError(source, "a COLMAP model", found, _REMEDY) from None
     lenses = {number: _lens(model.cameras[number], source) for number in sorted(model.cameras)}
     if not with_images:
         return collect_cameras(lenses.values(), source, unit=unit)
-    images = [image for _, image in sorted(model.images.items()) if image.has_pose]
-    raws = [_place(image, lenses[image.camera_id], source) for image in images]
+    raws = [
+        replace(
+            lenses[image.camera_id], name=name, **_place(image, f"{source}: image {image.name}")
+        )
+        for image, name in zip(images, names, strict=True)
+    ]
     return collect_cameras(raws, source, unit=unit, points=_collect_points(model, images))
-
-
-def _load(folder: Path, source: str) -> pycolmap.Reconstruction:
-    """Return the model. Raises FormatError where COLMAP refuses it, or it is cut."""
-    try:
-        model = pycolmap.Reconstruction(folder)
-    except MemoryError:
-        found = "one whose counts no memory holds"
-        raise FormatError(source, "a COLMAP model", found, _REMEDY) from None
-    except _REFUSALS as error:
-        raise _refusal(error, source) from None
-    _check_sizes(model, folder, source)
-    return model
-
-
-def _refusal(error: Exception, source: str) -> FormatError:
-    """Return the complaint about a model that COLMAP does not take."""
-    said = str(error)
-    known = (reason for part, reason in _REASONS.items() if part in said)
-    reason = next(known, f"maybe it is cut or damaged ({said.rpartition('] ')[2]})")
-    return FormatError(
-        source, "a COLMAP model", f"one that COLMAP does not read: {reason}", _REMEDY
-    )
 
 
 def _check_sizes(model: pycolmap.Reconstruction, folder: Path, source: str) -> None:
     """Raise FormatError where a binary file is not as long as what COLMAP read of it.
 
     COLMAP reads on where a file is cut. What it read, written again, has the length of a file that
-    is whole.
+    is whole. Parts that do not go together make it fail.
     """
     files = sorted(folder.glob("*.bin"))
     with tempfile.TemporaryDirectory(dir=folder) as again:
         if files:
-            try:
-                model.write_binary(again)
-            except _REFUSALS as error:  # parts that do not go together show only here
-                raise _refusal(error, source) from None
+            model.write_binary(again)
         for file in files:
             expected, found = (Path(at, file.name).stat().st_size for at in (again, folder))
             if expected != found:
-                raise FormatError(
-                    source,
-                    f"{expected} bytes of {file.name}",
-                    f"{found}: it is cut or damaged",
-                    "copy or export it again",
-                )
+                whole = f"{expected} bytes of {file.name}"
+                cut = f"{found}: it is cut or damaged"
+                raise FormatError(source, whole, cut, "copy or export it again")
 
 
 def _lens(camera: pycolmap.Camera, source: str) -> RawCamera:
     """Return a camera, called by its number. Raises FormatError where we have no such lens."""
     name = camera.model.name
-    if name not in LENSES:
-        expected = f"one of the camera models {', '.join(LENSES)}"
+    if name not in _LENSES:
+        expected = f"one of the camera models {', '.join(_LENSES)}"
         where = f"{source}: camera {camera.camera_id}"
         raise FormatError(where, expected, name, "undistort, or choose another model")
     params = camera.params
@@ -124,26 +116,17 @@ def _lens(camera: pycolmap.Camera, source: str) -> RawCamera:
     )
 
 
-def _place(image: pycolmap.Image, lens: RawCamera, source: str) -> RawCamera:
-    """Return the camera of an image, called after it. Raises FormatError."""
-    try:
-        name = image.name
-    except UnicodeDecodeError as error:
-        raise FormatError(source, "names of images in UTF-8", error, _REMEDY) from None
+def _place(image: pycolmap.Image, where: str) -> dict[str, Any]:
+    """Return rotation and translation of an image. Raises FormatError."""
     cam_from_world = image.cam_from_world()
     length = cam_from_world.rotation.norm()
     least, most = _LENGTHS_OF_QUATERNIONS
     if not least < length < most:  # nor is NaN
-        expected = "a unit quaternion QW QX QY QZ"
         found = f"one of the length {length:.3g}"
-        raise FormatError(f"{source}: image {name}", expected, found, _REMEDY)
+        raise FormatError(where, "a unit quaternion QW QX QY QZ", found, _REMEDY)
     cam_from_world.rotation.normalize()
-    return replace(
-        lens,
-        name=camera_of_image(name),
-        rotation=cam_from_world.rotation.matrix(),
-        translation=cam_from_world.translation,
-    )
+    rotation = cam_from_world.rotation.matrix()
+    return {"rotation": rotation, "translation": cam_from_world.translation}
 
 
 def _collect_points(
@@ -185,7 +168,7 @@ def build_model(rig: CameraRig, points: ObservedPoints) -> pycolmap.Reconstructi
     The 2D points of an image are the observations of its view, in their order.
     """
     model = pycolmap.Reconstruction()
-    for view, camera in enumerate(rig.cameras):
+    for view, camera in enumerate(rig):
         number = view + 1
         model.add_camera_with_trivial_rig(_camera_of_model(camera, number))
         image = pycolmap.Image(
@@ -194,50 +177,30 @@ def build_model(rig: CameraRig, points: ObservedPoints) -> pycolmap.Reconstructi
             camera_id=number,
             image_id=number,
         )
-        rotation = pycolmap.Rotation3d(rig.rotation[view])
-        pose = pycolmap.Rigid3d(rotation, rig.translation[view] + 0.0)  # no -0 in text
+        rotation = pycolmap.Rotation3d(camera.rotation)
+        pose = pycolmap.Rigid3d(rotation, camera.translation + 0.0)  # no -0 in text
         model.add_image_with_trivial_frame(image, pose)
-    for position, track in zip(points.positions, _tracks(points), strict=True):
-        model.add_point3D(position, track)
+    # the number of an observation within its image
+    within = np.empty(len(points.view), dtype=np.int64)
+    for view in range(len(rig)):
+        own = points.view == view
+        within[own] = np.arange(own.sum())
+    order = np.argsort(points.point, kind="stable")
+    counts = np.bincount(points.point, minlength=len(points.positions))
+    tracks = np.split(np.column_stack([points.view + 1, within])[order], np.cumsum(counts))[:-1]
+    for position, track in zip(points.positions, tracks, strict=True):
+        elements = [pycolmap.TrackElement(*each) for each in track.tolist()]
+        model.add_point3D(position, pycolmap.Track(elements))
     model.update_point_3d_errors()
     return model
 
 
 def _camera_of_model(camera: Camera, number: int) -> pycolmap.Camera:
     """Return the camera in the smallest model of COLMAP that has its lens."""
-    lens = np.pad(camera.distortion, (0, 8))[:8]
-    if camera.fisheye:
-        model, lens = "OPENCV_FISHEYE", lens[:4]
-    elif lens[4:].any():
-        model = "FULL_OPENCV"
-    else:
-        model, lens = "OPENCV", lens[:4]
-    focal = camera.matrix[[0, 1], [0, 1]]
-    middle = camera.matrix[:2, 2] + CORNER_OFFSET
+    is_long = not camera.fisheye and camera.distortion[4:].any()
+    model = "OPENCV_FISHEYE" if camera.fisheye else "FULL_OPENCV" if is_long else "OPENCV"
+    fx, fy, cx, cy = pinhole_terms(camera)
+    params = [fx, fy, cx + CORNER_OFFSET, cy + CORNER_OFFSET]
+    params += lens_terms(camera, 8 if is_long else 4).tolist()
     width, height = camera.size
-    return pycolmap.Camera(
-        camera_id=number,
-        model=model,
-        width=width,
-        height=height,
-        params=np.concatenate([focal, middle, lens]),
-    )
-
-
-def _tracks(points: ObservedPoints) -> Iterator[pycolmap.Track]:
-    """Yield the track of each point: the image and the number within it of each observation."""
-    within = np.empty(len(points.view), dtype=np.int64)
-    for view in np.unique(points.view):
-        own = points.view == view
-        within[own] = np.arange(own.sum())
-    order = np.argsort(points.point, kind="stable")
-    image = (points.view[order] + 1).tolist()
-    within_image = within[order].tolist()
-    ends = np.cumsum(np.bincount(points.point, minlength=len(points.positions))).tolist()
-    start = 0
-    for end in ends:
-        track = pycolmap.Track()
-        for k in range(start, end):
-            track.add_element(image[k], within_image[k])
-        start = end
-        yield track
+    return pycolmap.Camera(camera_id=number, model=model, width=width, height=height, params=params)

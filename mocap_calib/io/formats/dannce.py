@@ -18,8 +18,15 @@ from typing import Any, cast
 import numpy as np
 
 from mocap_calib.errors import FormatError, one_line
-from mocap_calib.io.camera_checks import numbers, skew_in_pixels
-from mocap_calib.io.cameras import CameraFile, RawCamera, check_rig, collect_cameras, lens_terms
+from mocap_calib.io.cameras import (
+    CameraFile,
+    RawCamera,
+    check_rig,
+    collect_cameras,
+    lens_terms,
+    numbers,
+    skew_in_pixels,
+)
 from mocap_calib.io.crash_guard import guard
 from mocap_calib.io.detections import NO_SCORE, blank, make_view
 from mocap_calib.io.document import Document, need
@@ -107,9 +114,6 @@ def sniff_cameras(document: Document) -> bool:
     return document.syntax == "binary" and document.content.startswith(b"MATLAB")
 
 
-# --- cameras: reading
-
-
 def read_cameras(document: Document) -> CameraFile:
     """Read all cameras of a file, or its one camera. Raises FormatError."""
     raws: list[RawCamera] = []
@@ -117,20 +121,23 @@ def read_cameras(document: Document) -> CameraFile:
     for name, fields in _load(document):
         where = f"{document.source}: camera {name}"
         need(fields, _FIELDS, where)
-        matrix = numbers(fields["K"], "a 3 x 3 matrix K", where).T.copy()
-        if matrix.shape == (3, 3) and 0 < abs(matrix[0, 1]) < _MOST_SKEW * abs(matrix[0, 0]):
-            moved = f"{skew_in_pixels(matrix):.1f} pixels at the edge of the image"
+        matrix = numbers(fields["K"], "a 3 x 3 matrix K", where, 9).reshape(3, 3).copy()
+        if 0 < abs(matrix[1, 0]) < _MOST_SKEW * abs(matrix[0, 0]):
+            moved = f"{skew_in_pixels(matrix.T):.1f} pixels at the edge of the image"
             notes.append(
-                f"camera {name}: the skew {matrix[0, 1]:.2f} is left out, which is up to {moved}"
+                f"camera {name}: the skew {matrix[1, 0]:.2f} is left out, which is up to {moved}"
             )
-            matrix[0, 1] = 0.0
+            matrix[1, 0] = 0.0
+        radial = numbers(fields["RDistort"], "2 or 3 numbers RDistort", where, 2, 3).ravel()
+        tangential = numbers(fields["TDistort"], "2 numbers TDistort", where, 2).ravel()
         raws.append(
             RawCamera(
                 name=name,
                 matrix=matrix,
-                distortion=_read_distortion(fields, where),
-                rotation=numbers(fields["r"], "a 3 x 3 rotation r", where).T,
+                distortion=[*radial[:2], *tangential, *radial[2:]],
+                rotation=fields["r"],
                 translation=fields["t"],
+                by_columns=True,
             )
         )
     return collect_cameras(raws, document.source, notes=notes)
@@ -143,42 +150,27 @@ def _load(document: Document) -> list[tuple[str, dict[str, Any]]]:
     """
     if document.content.startswith(b"MATLAB 7.3"):
         raise document.refuse("a .mat file of version 7 or below", "version 7.3", _CAMERA_REMEDY)
-    found = _read_mat(
-        document,
-        ("params", "camnames", *_FIELDS),
-        expected="a .mat file of Label3D or DANNCE",
-        remedy=_CAMERA_REMEDY,
-    )
+    wanted, expected = ("params", "camnames", *_FIELDS), "a .mat file of Label3D or DANNCE"
+    found = _read_mat(document, wanted, expected=expected, remedy=_CAMERA_REMEDY)
     if "params" not in found and found.keys() >= set(_FIELDS):
         name = re.fullmatch(_ONE_CAMERA_STEM, document.stem)
         return [(name["camera"] if name else document.stem, found)]
     cells, camnames = found.get("params"), found.get("camnames")
     cells = cells if isinstance(cells, list) else []
     # a cell is an array of one struct
-    structs = [each[0] if isinstance(each, list) and len(each) == 1 else each for each in cells]
-    params = [fields for fields in structs if isinstance(fields, dict)]
+    structs = [
+        each[0] if isinstance(each, list) and len(each) == 1 else each for each in cells or ()
+    ]
     names = [str(name).strip() for name in camnames] if isinstance(camnames, list) else []
-    if not params or len(params) < len(structs) or len(names) not in (0, len(params)):
+    are_structs = structs and all(isinstance(fields, dict) for fields in structs)
+    if not are_structs or len(names) not in (0, len(structs)):
         fields = ", ".join(_FIELDS)
         raise document.refuse(
             f"cells params, a camera each, and as many camnames; or {fields} of one camera",
-            f"{len(params)} and {len(names)}",
+            f"{len(structs)} and {len(names)}",
             "give the file that has the cameras",
         )
-    return list(zip(names or [f"Camera{k + 1}" for k in range(len(params))], params, strict=True))
-
-
-def _read_distortion(fields: Mapping[str, Any], where: str) -> Floats:
-    """Return `[4 | 5]` k1 k2 p1 p2 (k3). Raises FormatError."""
-    radial = numbers(fields["RDistort"], "numbers RDistort", where).reshape(-1)
-    tangential = numbers(fields["TDistort"], "numbers TDistort", where).reshape(-1)
-    if len(radial) not in (2, 3) or len(tangential) != 2:
-        found = f"{len(radial)} and {len(tangential)}"
-        raise FormatError(where, "2 or 3 RDistort and 2 TDistort", found, "correct the distortion")
-    return np.concatenate([radial[:2], tangential, radial[2:]])
-
-
-# --- cameras: writing
+    return list(zip(names or [f"Camera{k + 1}" for k in range(len(structs))], structs, strict=True))
 
 
 def write_cameras(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
@@ -188,14 +180,14 @@ def write_cameras(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     lost = check_rig(rig, provenance, "dannce", terms=5, sizes="lost", verdict=False)
     params = np.empty((len(rig.cameras), 1), dtype=object)
     names = np.empty((1, len(rig.cameras)), dtype=object)
-    for view, camera in enumerate(rig.cameras):
-        k1, k2, p1, p2, k3 = lens_terms(camera, 5)
+    for view, camera in enumerate(rig):
+        terms = lens_terms(camera, 5)[None]
         params[view, 0] = {  # for row vectors
-            "K": camera.matrix.T.copy(),
-            "RDistort": np.array([[k1, k2, k3]]),
-            "TDistort": np.array([[p1, p2]]),
-            "r": rig.rotation[view].T.copy(),
-            "t": rig.translation[view][None].copy(),
+            "K": camera.matrix.T,
+            "RDistort": terms[:, [0, 1, 4]],
+            "TDistort": terms[:, 2:4],
+            "r": camera.rotation.T,
+            "t": camera.translation[None],
         }
         names[0, view] = camera.name
     file = io.BytesIO()

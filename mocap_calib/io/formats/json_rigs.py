@@ -15,64 +15,46 @@
 """
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
-import msgspec
 import numpy as np
 
-from mocap_calib.errors import FormatError
-from mocap_calib.io.camera_checks import numbers
 from mocap_calib.io.cameras import (
     CameraFile,
     RawCamera,
     check_rig,
     collect_cameras,
     entries,
-    has_json_entry,
     lens_terms,
+    numbers,
+    pick,
     pinhole_matrix,
+    pinhole_terms,
     to_json,
 )
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields
-from mocap_calib.types import CameraRig, Floats
+from mocap_calib.types import CameraRig
 
 _CALIBRATION = "calibration.json"
+_VOXELPOSE_MATRIX = ("fx", "fy", "cx", "cy")
 
 
 # --- CMU Panoptic
 
 
-class _Panoptic(msgspec.Struct):
-    K: Any
-    distCoef: Any
-    name: Any = None
-    resolution: Any = None
-    R: Any = None
-    t: Any = None
-
-
-def sniff_panoptic(document: Document) -> bool:
-    """Return whether there is a list of cameras with distCoef."""
-    return document.has("json", "cameras") and has_json_entry(document, "distCoef")
-
-
 def read_panoptic(document: Document) -> CameraFile:
     """Read the cameras. Raises FormatError."""
     data = document.mapping("cameras")
-    found = entries(_Panoptic, data["cameras"], document.source, "cameras with K and distCoef")
-    raws = (
+    keys = {"matrix": "K", "distortion": "distCoef", "size": "resolution"}
+    raws = [
         RawCamera(
-            name=str(each.name or number),
-            size=each.resolution,
-            matrix=each.K,
-            distortion=each.distCoef,
-            rotation=each.R,
-            translation=each.t,
+            name=each.get("name") or number, **pick(each, **keys, rotation="R", translation="t")
         )
-        for number, each in found
-    )
+        for number, each in entries(data["cameras"], document.source, "K", "distCoef")
+    ]
     return collect_cameras(raws, document.source, provenance=data.get("provenance"))
 
 
@@ -83,38 +65,21 @@ def write_panoptic(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
         {
             "name": camera.name,
             "type": "hd",
-            "resolution": list(camera.size),
+            "resolution": camera.size,
             "panel": 0,
             "node": view,
-            "K": camera.matrix.tolist(),
+            "K": camera.matrix,
             "distCoef": lens_terms(camera, 5),
-            "R": rig.rotation[view].tolist(),
-            "t": rig.translation[view][:, None].tolist(),
+            "R": camera.rotation,
+            "t": camera.translation[:, None],
         }
-        for view, camera in enumerate(rig.cameras)
+        for view, camera in enumerate(rig)
     ]
     about = {"calibDataSource": "mocap-calib", "provenance": plain_fields(provenance)}
     return Written({_CALIBRATION: to_json({**about, "cameras": cameras})}, lost)
 
 
 # --- VoxelPose
-
-
-class _VoxelPose(msgspec.Struct):
-    R: Any
-    T: Any
-    fx: Any
-    fy: Any
-    cx: Any
-    cy: Any
-    k: Any = ()
-    p: Any = ()
-    name: Any = None
-
-
-def sniff_voxelpose(document: Document) -> bool:
-    """Return whether there are cameras with fx and T, by number or in a sequence's list."""
-    return has_json_entry(document, "R", "T", "fx", "fy", "cx", "cy")
 
 
 def read_voxelpose(document: Document) -> CameraFile:
@@ -124,31 +89,24 @@ def read_voxelpose(document: Document) -> CameraFile:
     if len(sequences) > 1:
         found = f"{len(sequences)} sequences"
         raise document.refuse("the cameras of one sequence", found, "keep one of them in the file")
-    cameras = sequences[0] if sequences else tree
-    expected = "cameras by number with R, T, fx, fy, cx and cy"
-    raws = (
-        RawCamera(
-            name=str(each.name or number),
-            matrix=pinhole_matrix(each.fx, each.fy, each.cx, each.cy),
-            distortion=_voxelpose_terms(each, f"{document.source}: camera {number}"),
-            rotation=each.R,
-            centre=each.T,
-        )
-        for number, each in entries(_VoxelPose, cameras, document.source, expected)
+    raws = []
+    cameras = entries(
+        sequences[0] if sequences else tree, document.source, "R", "T", *_VOXELPOSE_MATRIX
     )
+    for number, each in cameras:
+        where = f"{document.source}: camera {number}"
+        k1, k2, k3 = numbers(each.get("k") or [0] * 3, "three k, or none", where, 3).ravel()
+        p1, p2 = numbers(each.get("p") or [0] * 2, "two p, or none", where, 2).ravel()
+        raws.append(
+            RawCamera(
+                name=each.get("name") or number,
+                matrix=pinhole_matrix(*(each[key] for key in _VOXELPOSE_MATRIX)),
+                distortion=[k1, k2, p1, p2, k3],
+                rotation=each["R"],
+                centre=each["T"],
+            )
+        )
     return collect_cameras(raws, document.source)
-
-
-def _voxelpose_terms(camera: _VoxelPose, where: str) -> Floats:
-    """Return `[5]` k1 k2 p1 p2 k3, 0 where they are missing. Raises FormatError."""
-    expected = "three k and two p of the distortion, or none"
-    distortion = np.zeros(5)
-    for given, places in ((camera.k, [0, 1, 4]), (camera.p, [2, 3])):
-        values = numbers(given, expected, where).reshape(-1)
-        if len(values) not in (0, len(places)):
-            raise FormatError(where, expected, len(values), "correct the distortion")
-        distortion[places] = values if len(values) else 0.0
-    return distortion
 
 
 def write_voxelpose(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
@@ -158,16 +116,15 @@ def write_voxelpose(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """
     lost = check_rig(rig, provenance, "voxelpose", terms=5, sizes="lost", verdict=False)
     cameras = {}
-    for view, camera in enumerate(rig.cameras):
-        k1, k2, p1, p2, k3 = lens_terms(camera, 5)
-        (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    for view, camera in enumerate(rig):
+        lens = lens_terms(camera, 5)[:, None]
         cameras[str(view)] = {
             "name": camera.name,
-            "R": rig.rotation[view].tolist(),
-            "T": rig.centres[view][:, None].tolist(),
-            **{"fx": fx, "fy": fy, "cx": cx, "cy": cy},
-            "k": [[k1], [k2], [k3]],
-            "p": [[p1], [p2]],
+            "R": camera.rotation,
+            "T": camera.centre[:, None],
+            **dict(zip(_VOXELPOSE_MATRIX, pinhole_terms(camera), strict=True)),
+            "k": lens[[0, 1, 4]],
+            "p": lens[2:4],
         }
     return Written({_CALIBRATION: to_json(cameras)}, lost)
 
@@ -175,35 +132,14 @@ def write_voxelpose(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
 # --- 4D-Association
 
 
-class _FourD(msgspec.Struct):
-    K: Any
-    RT: Any
-    imgSize: Any
-
-
-def sniff_four_d(document: Document) -> bool:
-    """Return whether there are cameras with K and RT."""
-    return has_json_entry(document, "K", "RT", "imgSize")
-
-
 def read_four_d(document: Document) -> CameraFile:
     """Read the cameras, which are called by their numbers. Raises FormatError."""
     raws = []
-    expected = "cameras by number with 9 numbers K, 12 RT and an imgSize"
-    for name, each in entries(_FourD, document.tree, document.source, expected):
-        pose = numbers(each.RT, expected, document.source)
-        if pose.size != 12:
-            raise document.refuse(expected, f"{pose.size} RT of camera {name}", "correct them")
-        pose = pose.reshape(3, 4)
-        raws.append(
-            RawCamera(
-                name=name,
-                size=each.imgSize,
-                matrix=each.K,
-                rotation=pose[:, :3],
-                translation=pose[:, 3],
-            )
-        )
+    for name, each in entries(document.tree, document.source, "K", "RT", "imgSize"):
+        pose = numbers(each["RT"], "12 numbers RT", f"{document.source}: camera {name}", 12)
+        rotation, translation = np.split(pose.reshape(3, 4), [3], axis=1)
+        keys = {"size": each["imgSize"], "matrix": each["K"]}
+        raws.append(RawCamera(name=name, **keys, rotation=rotation, translation=translation))
     return collect_cameras(raws, document.source)
 
 
@@ -215,11 +151,11 @@ def write_four_d(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     lost = check_rig(rig, provenance, "4d-association", terms=0, sizes="needed", verdict=False)
     cameras = {
         str(view): {
-            "K": camera.matrix.ravel().tolist(),
-            "RT": np.column_stack([rig.rotation[view], rig.translation[view]]).ravel().tolist(),
-            "imgSize": list(camera.size),
+            "K": camera.matrix.ravel(),
+            "RT": np.column_stack([camera.rotation, camera.translation]).ravel(),
+            "imgSize": camera.size,
         }
-        for view, camera in enumerate(rig.cameras)
+        for view, camera in enumerate(rig)
     }
     if rig.names != tuple(cameras):
         lost = ("the cameras' names: they are counted from 0", *lost)
@@ -233,47 +169,29 @@ _GLOBAL_POSES = "global_poses.json"
 _POSES = (_GLOBAL_POSES, "ba_poses.json", "poses.json")  # the last that are made come first
 
 
-class _View(msgspec.Struct, omit_defaults=True):
-    K: Any = None
-    dist: Any = None
-    image_shape: Any = None
-    R: Any = None
-    t: Any = None
-    unit: Any = ""
-
-
 def sniff_multiview_calib(document: Document) -> bool:
     """Return whether this is a folder with intrinsics.json, or one of its files."""
     if document.is_folder:
         return _INTRINSICS in document.names
-    return has_json_entry(document, "K", "dist")
+    return document.has_entry(["K", "dist"])
 
 
 def read_multiview_calib(document: Document) -> CameraFile:
     """Read the cameras of a folder, or of one of its files. Raises FormatError."""
     first = document.of(_INTRINSICS) if document.is_folder else document
-    views = dict(entries(_View, first.tree, first.source, "views with K and dist"))
+    views = dict(entries(first.tree, first.source, "K", "dist"))
     file = next((file for file in _POSES if file in document.names), None)
     if file is not None:
         poses = document.of(file)
-        for name, pose in entries(_View, poses.tree, poses.source, "views with R and t"):
-            merged = msgspec.to_builtins(views.get(name, _View())) | msgspec.to_builtins(pose)
-            views[name] = msgspec.convert(merged, _View)
+        for name, pose in entries(poses.tree, poses.source, "R", "t"):
+            views[name] = views.get(name, {}) | pose
+    raws = []
     for name, view in views.items():
-        if view.K is None or view.dist is None:
-            raise document.refuse(f"K and dist of the view {name}", "none")
-    raws = (
-        RawCamera(
-            name=name,
-            size=view.image_shape[1::-1] if isinstance(view.image_shape, list) else None,
-            matrix=view.K,
-            distortion=view.dist,
-            rotation=view.R,
-            translation=view.t,
-        )
-        for name, view in views.items()
-    )
-    unit = next(iter(views.values())).unit
+        keys = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}
+        shape = view.get("image_shape")
+        size = shape[1::-1] if isinstance(shape, list) else None
+        raws.append(RawCamera(name=name, size=size, **pick(view, **keys)))
+    unit = next((view.get("unit", "") for view in views.values()), "")
     return collect_cameras(raws, document.source, unit=unit)
 
 
@@ -282,13 +200,12 @@ def write_multiview_calib(rig: CameraRig, provenance: Mapping[str, Any]) -> Writ
     text = (r"[^\ud800-\udfff]+", "text")
     lost = check_rig(rig, provenance, "multiview-calib", names=text, verdict=False)
     intrinsics, poses = {}, {}
-    for view, camera in enumerate(rig.cameras):
+    for camera in rig:
         distortion = camera.distortion if camera.distortion.any() else np.zeros(5)
-        lens = {"K": camera.matrix.tolist(), "dist": distortion.tolist()}
-        size = {} if 0 in camera.size else {"image_shape": list(camera.size[::-1])}
+        lens = {"K": camera.matrix, "dist": distortion}
+        size = {} if 0 in camera.size else {"image_shape": camera.size[::-1]}
         intrinsics[camera.name] = lens | size | {"unit": rig.unit}
-        pose = {"R": rig.rotation[view].tolist(), "t": rig.translation[view].tolist()}
-        poses[camera.name] = lens | pose
+        poses[camera.name] = lens | {"R": camera.rotation, "t": camera.translation}
     return Written({_INTRINSICS: to_json(intrinsics), _GLOBAL_POSES: to_json(poses)}, lost)
 
 
@@ -296,7 +213,7 @@ PANOPTIC = Format(
     kind="cameras",
     name="panoptic",
     title="CMU Panoptic JSON",
-    sniff=sniff_panoptic,
+    sniff=partial(Document.has_entry, keys=["distCoef"]),
     read=read_panoptic,
     write=write_panoptic,
     unit="cm",
@@ -305,7 +222,7 @@ VOXELPOSE = Format(
     kind="cameras",
     name="voxelpose",
     title="VoxelPose JSON",
-    sniff=sniff_voxelpose,
+    sniff=partial(Document.has_entry, keys=["R", "T", *_VOXELPOSE_MATRIX]),
     read=read_voxelpose,
     write=write_voxelpose,
     unit="mm",
@@ -314,7 +231,7 @@ FOUR_D_ASSOCIATION = Format(
     kind="cameras",
     name="4d-association",
     title="4D-Association JSON",
-    sniff=sniff_four_d,
+    sniff=partial(Document.has_entry, keys=["K", "RT", "imgSize"]),
     read=read_four_d,
     write=write_four_d,
     unit="m",

@@ -7,14 +7,13 @@
 """
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from functools import partial
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import FormatError
-from mocap_calib.io.camera_checks import make_extrinsics, numbers
 from mocap_calib.io.cameras import (
     CameraFile,
     RawCamera,
@@ -22,54 +21,32 @@ from mocap_calib.io.cameras import (
     check_rig,
     collect_cameras,
     entries,
-    has_json_entry,
     lens_terms,
+    numbers,
     pinhole_matrix,
+    pinhole_terms,
     to_json,
 )
-from mocap_calib.io.document import Document, typed
+from mocap_calib.io.document import Document, need
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields
 from mocap_calib.types import CameraRig
 
 _OPENGL_AXES = np.array([1.0, -1.0, -1.0])
 _PINHOLE_TERMS = ("k1", "k2", "p1", "p2", "k3")
-_FISHEYE_TERMS = ("k1", "k2", "k3", "k4")
+_TERMS = {  # of each camera model
+    **dict.fromkeys(("OPENCV", "PINHOLE", "SIMPLE_PINHOLE"), _PINHOLE_TERMS),
+    "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
+}
 _FOLDER = "images/"
-_MODELS = "OPENCV, PINHOLE, SIMPLE_PINHOLE or OPENCV_FISHEYE"
-_EXPECTED = f"a frame with fl_x, cx, cy, transform_matrix and a camera_model of {_MODELS}"
-
-
-class _Frame(msgspec.Struct):
-    fl_x: float
-    cx: float
-    cy: float
-    transform_matrix: Any
-    file_path: str = ""
-    fl_y: float | None = None
-    w: Any = None
-    h: Any = None
-    camera_model: Literal["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV_FISHEYE"] = "OPENCV"
-    k1: Any = 0.0
-    k2: Any = 0.0
-    k3: Any = 0.0
-    k4: Any = 0.0
-    p1: Any = 0.0
-    p2: Any = 0.0
-
-
-def sniff(document: Document) -> bool:
-    """Return whether there are frames with a transform_matrix."""
-    return document.has("json", "frames") and has_json_entry(document, "transform_matrix")
 
 
 def read(document: Document) -> CameraFile:
     """Read the frames as cameras, called after their images. Raises FormatError."""
     shared = dict(document.mapping("frames"))
-    frames = entries(dict[str, Any], shared.pop("frames"), document.source, "a list of frames")
     raws = [
         _read_frame(shared | {"file_path": number} | frame, f"{document.source}: frame {number}")
-        for number, frame in frames
+        for number, frame in entries(shared["frames"], document.source, "transform_matrix")
     ]
     unit, provenance = shared.get("unit", ""), shared.get("provenance")
     return collect_cameras(raws, document.source, unit=unit, provenance=provenance)
@@ -77,28 +54,26 @@ def read(document: Document) -> CameraFile:
 
 def _read_frame(fields: Mapping[str, Any], where: str) -> RawCamera:
     """Return the camera of a frame. Raises FormatError."""
-    frame = typed(fields, _Frame, where, _EXPECTED)
-    fisheye = frame.camera_model == "OPENCV_FISHEYE"
-    if not fisheye and frame.k4 != 0:
+    need(fields, ("fl_x", "cx", "cy"), where)
+    model = str(fields.get("camera_model", "OPENCV"))
+    if model not in _TERMS:
+        expected = f"the camera_model {', '.join(_TERMS)}"
+        raise FormatError(where, expected, model, "undistort, or choose another model")
+    if "k4" not in _TERMS[model] and fields.get("k4"):
         expected = "k1, k2, k3, p1, p2 of OpenCV's model"
         raise FormatError(where, expected, "a k4", "calibrate without it")
-    matrix = numbers(frame.transform_matrix, "a 4 x 4 transform_matrix", where)
-    if matrix.shape not in ((4, 4), (3, 4)):
-        raise FormatError(where, "a 4 x 4 transform_matrix", f"shape {matrix.shape}", "correct it")
+    middle = numbers([fields["cx"], fields["cy"]], "numbers cx and cy", where, 2) - CORNER_OFFSET
     # world_from_cam: its translation is the camera's centre
-    rotation, centre = make_extrinsics(matrix[:3, :3] * _OPENGL_AXES, matrix[:3, 3], where)
+    transform = numbers(fields["transform_matrix"], "a 4 x 4 transform_matrix", where, 12, 16)
+    turned, centre = np.split(transform.reshape(-1, 4)[:3], [3], axis=1)
+    name = str(fields["file_path"]).removeprefix("./").removeprefix(_FOLDER)
     return RawCamera(
-        name=camera_of_image(frame.file_path.removeprefix("./").removeprefix(_FOLDER)),
-        size=None if frame.w is None or frame.h is None else [frame.w, frame.h],
-        matrix=pinhole_matrix(
-            frame.fl_x,
-            frame.fl_x if frame.fl_y is None else frame.fl_y,
-            frame.cx - CORNER_OFFSET,
-            frame.cy - CORNER_OFFSET,
-        ),
-        distortion=[getattr(frame, k) for k in (_FISHEYE_TERMS if fisheye else _PINHOLE_TERMS)],
-        fisheye=fisheye,
-        rotation=rotation.T,
+        name=camera_of_image(name),
+        size=[fields.get("w"), fields.get("h")],
+        matrix=pinhole_matrix(fields["fl_x"], fields.get("fl_y") or fields["fl_x"], *middle),
+        distortion=[fields.get(key, 0.0) for key in _TERMS[model]],
+        fisheye=model == "OPENCV_FISHEYE",
+        rotation=(turned * _OPENGL_AXES).T,
         centre=centre,
     )
 
@@ -107,22 +82,19 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write one frame a camera; its image is called images/NAME.png. Raises MismatchError."""
     lost = check_rig(rig, provenance, "nerfstudio", terms=5, fisheye=True, sizes="needed")
     frames = []
-    for view, camera in enumerate(rig.cameras):
-        keys = _FISHEYE_TERMS if camera.fisheye else _PINHOLE_TERMS
-        (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
-        width, height = camera.size
-        world_from_cam = np.eye(4)
-        world_from_cam[:3, :3] = rig.rotation[view].T * _OPENGL_AXES
-        world_from_cam[:3, 3] = rig.centres[view]
+    for camera in rig:
+        model = "OPENCV_FISHEYE" if camera.fisheye else "OPENCV"
+        fx, fy, cx, cy = pinhole_terms(camera)
+        keys = _TERMS[model]
+        turned = np.column_stack([camera.rotation.T * _OPENGL_AXES, camera.centre])
         frames.append(
             {
                 "file_path": f"{_FOLDER}{camera.name}.png",
-                "camera_model": "OPENCV_FISHEYE" if camera.fisheye else "OPENCV",
-                **{"fl_x": fx, "fl_y": fy},
-                **{"cx": cx + CORNER_OFFSET, "cy": cy + CORNER_OFFSET},
-                **{"w": width, "h": height},
-                **dict(zip(keys, lens_terms(camera, len(keys)), strict=True)),
-                "transform_matrix": world_from_cam.tolist(),
+                "camera_model": model,
+                **{"fl_x": fx, "fl_y": fy, "cx": cx + CORNER_OFFSET, "cy": cy + CORNER_OFFSET},
+                **dict(zip("wh", camera.size, strict=True)),
+                **dict(zip(keys, lens_terms(camera, len(keys)).tolist(), strict=True)),
+                "transform_matrix": np.vstack([turned, [0.0, 0.0, 0.0, 1.0]]),
             }
         )
     document = {
@@ -138,7 +110,7 @@ FORMAT = Format(
     kind="cameras",
     name="nerfstudio",
     title="nerfstudio transforms.json",
-    sniff=sniff,
+    sniff=partial(Document.has_entry, keys=["transform_matrix"]),
     read=read,
     write=write,
 )
