@@ -68,54 +68,25 @@ def test_what_needs_no_network_does_not_wait_for_torch():
     assert not imported(code) & {"torch", "scipy.optimize", "cv2", "rich"}
 
 
-def test_what_calibrates_does_not_wait_for_torch():
-    """Importing all that a run needs takes 0.6 s of a processor; with these it took 2.4 s."""
-    code = "import mocap_calib.job.steps, mocap_calib_cli.commands.run, mocap_calib_cli.inputs"
-    heavy = {"torch", "scipy.optimize", "scipy.sparse", "scipy.stats", "scipy.signal", "rich"}
-    assert not imported(code) & {*heavy, "pycolmap"}
-
-
 def examples(tool, name: str) -> list[str]:
     """The examples of a help text."""
-    said = tool(name, "--help")
-    assert said.returncode == 0
-    return re.findall(r"^ *(mocap-calib .*)$", said.stdout.split("Example", 1)[1], re.M)
+    said = tool(name, "--help").stdout
+    return re.findall(r"^ *(mocap-calib .*)$", said.split("Example", 1)[1], re.M)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_help_with_examples_that_are_no_wrong_usage(name, tool, tmp_path):
     """The files that they name are not there."""
+    (tmp_path / "recording.yaml").write_text("keypoints: k\noutput: o\n", encoding="utf-8")
     found = examples(tool, name)
     assert found
-    (tmp_path / "recording.yaml").write_text("keypoints: k\noutput: o\n", encoding="utf-8")
-    offline = [each for each in found if "tcp://" not in each]
-    for example in (
-        offline if name not in ("doctor", "example", "simulate", "models", "train") else ()
-    ):
+    for example in found:
+        if name in ("doctor", "example", "simulate", "models", "train") or "tcp://" in example:
+            continue
         for part in example.split(" | "):
             done = tool(*shlex.split(re.split(r" [<>]", part)[0])[1:], cwd=tmp_path)
             assert done.returncode == 1, done.stderr
             assert "Usage:" not in done.stderr
-
-
-# what is in examples/three_people, what a run leaves in `out`, and the examples for each other
-THERE = {"keypoints/", "intrinsics.toml", "reference.toml", "out/cameras.yaml", "out/poses3d.h5"}
-THERE |= {"out/calibration.toml", "out/matches.csv", "openpose/", "pairs.json"}
-MINE = ("pairwise", "average", "match", "triangulate", "convert", "complete", "evaluate")
-
-
-@pytest.mark.parametrize("name", MINE)
-def test_examples_work_in_the_folder_of_the_example(name, tool):
-    for example in examples(tool, name):
-        for part in re.split(r"[|<]", example):
-            words = shlex.split(part.partition(" >")[0])
-            inputs = [
-                word for word, before in zip(words[1:], words, strict=False) if before != "-o"
-            ]
-            if "convert" in words:
-                inputs.remove(words[3])  # the output
-            paths = {word for word in inputs if re.search(r"/$|\.\w", word)}
-            assert paths <= THERE, example
 
 
 def test_the_list_of_commands_is_that_of_the_page(tool):
@@ -139,53 +110,32 @@ RUN = "run k --cameras i.toml -o o"
         ("batch", "Missing argument 'RECORDINGS...'. Expected a folder for each recording"),
         ("match x", "Missing option '--rig'. Expected a file that says where the cameras stand"),
         ("adjust x --rig r", "Missing option '--matches'. Expected a file that says who is who"),
-        ("evaluate", "Missing argument 'CAMERAS'. Expected a file that says where the cameras"),
         ("evaluate x", "Missing option '--reference'. Expected a calibration to compare with"),
         ("average", "Missing argument 'PAIRS'. Expected the file that `pairwise` wrote"),
-        ("convert a", "Missing argument 'INPUT...'. Expected what to convert, then where to"),
         ("verify", "Missing argument 'CAMERAS'. Expected a calibration, then the keypoints"),
-        ("filter", "Missing argument 'POSES'. Expected 3D poses; give the folder of `run`"),
         # other words
         ("rnu", "found rnu; did you mean run?"),
         ("keypoints/", "expected one of the commands run, batch, inspect"),
-        ("run x --nonsense", "No such option"),
         # forms
-        ("inspect x --image-size 1280", f"Invalid value for '--image-size': {SIZE} 1280"),
-        ("inspect x --image-size 0x8", f"{SIZE} 0x8"),
-        ("inspect x --image-size 8x-1", f"{SIZE} 8x-1"),
         ("inspect x --image-size 8x1.5", f"{SIZE} 8x1.5"),
         ("inspect x --image-size cam1:640", f"{SIZE} cam1:640"),
-        ("inspect x --frame-offset 3", "expected camera:frames with a whole number, as cam1:-3"),
         ("inspect x --frame-offset a:1.5", "with a whole number, as cam1:-3, found a:1.5"),
         ("inspect x --frame-offset a:1e16", "with a whole number, as cam1:-3, found a:1e16"),
         ("inspect x --crop-offset a:3", "expected camera:x,y, as cam1:640,0, found a:3"),
-        ("inspect x --camera-regex (", "expected a regular expression, as 'cam[0-9]+', found ( ("),
-        (f"{RUN} --rotated a:45", "expected camera:degrees with 90, 180 or 270, as cam1:90"),
         (f"{RUN} --resized a:0", "expected camera:factor above 0, as cam1:0.5, found a:0"),
         (f"{RUN} --exchanged a,a", "expected two cameras, as cam1,cam2, found a,a"),
-        (f"{RUN} --exchanged a", "expected two cameras, as cam1,cam2, found a"),
         (f"{RUN} --moved a", "expected camera:frame with a whole number, as cam1:500, found a"),
-        (f"{RUN} --fps 0", f"{RATE} 0"),
         (f"{RUN} --fps 30 --fps a:nan", f"{RATE} a:nan"),
         (f"{RUN} --fps a:30", "expected that of the other cameras too, as --fps 30, found a:30"),
-        (f"{RUN} --height tall", "expected metres above 0, or individual=metres, as 0=1.75+-0.01"),
         (f"{RUN} --height =1.7", "expected metres above 0, or individual=metres, as 0=1.75+-0.01"),
-        (f"{RUN} --length 0.42", "expected two joints and metres above 0, as left_hip-left_knee"),
         (f"{RUN} --camera-distance a-b=-1", "expected two cameras and metres above 0, as cam1"),
-        ("overlay o --video cam1 -o x", "expected CAM=FILE, found cam1"),
-        ("overlay o --video a=1 --video a=2 -o x", "expected one video a camera, found two of a"),
-        ("overlay o --video a=1 -o x --frames 9-3", "expected frame numbers, as 100,200-210"),
         ("overlay o --video a=1 -o x --frames 1,", "expected frame numbers, as 100,200-210"),
         ("example cat", "expected one of people, dog, mouse, found cat"),
-        (
-            "simulate -o o --kind fish",
-            "expected one of people, quadruped, rodent, bird, found fish",
-        ),
+        ("simulate -o o --kind fish", "people, quadruped, rodent, bird, found fish"),
         ("simulate -o o --kind rodent:", "expected a number after the colon, as rodent:2, found"),
         ("simulate -o o --kind bird:0", f"{WHOLE} 1 or more, found 0"),
         ("simulate -o o --kind people:2 --people 3", "expected --people or --kind people, found"),
         # numbers
-        (f"{RUN} --seed abc", f"Invalid value for '--seed': {WHOLE} 0 or more, found abc"),
         ("batch a -o o --seed -1", f"{WHOLE} 0 or more, found -1"),
         ("batch a -o o --jobs 0", f"{WHOLE} 1 or more, found 0"),
         ("batch a -o o --jobs 2 --scheduler x", "--jobs is for this machine, --scheduler for"),
@@ -194,25 +144,20 @@ RUN = "run k --cameras i.toml -o o"
         ("simulate -o o --noise inf", "expected a number of 0 or more, found inf"),
         ("simulate -o o --missing 5%", "expected a number from 0 to 1, found 5%"),
         ("simulate -o o --arc 400", "expected a number from 0 to 360, found 400"),
-        ("simulate -o o --distortion thick", "Invalid value for '--distortion'"),
         ("train -o o --width 3", f"{WHOLE} 4 or more, found 3"),
         ("train -o o --width 6", "expected a multiple of 4"),
-        ("filter p -o o.h5 --window 4", "expected an odd number, found 4"),
-        ("filter p -o o.h5 --order 3", "expected an even number, found 3"),
         (f"{RUN} --focal-uncertainty 0", f"{PERCENT} 0"),
         (f"{RUN} --focal-uncertainty 5", f"{PERCENT} 5"),
-        (f"{RUN} --focal-uncertainty wide", f"{PERCENT} wide"),
         # what does not go together
         ("run k -o o --refine none", "give --cameras"),
-        (f"{RUN} --refine lens", "--refine"),
+        ("batch k -o o --strict --accept not-determined", "--strict: expected it without --accept"),
+        ("adjust k --rig r --matches m --strict --accept not-determined", "it without --accept"),
         (f"{RUN} --focal-uncertainty 5%", "--focal-uncertainty: expected focal lengths that are"),
         (f"{RUN} --focal-per-camera", "--focal-per-camera: expected focal lengths that are"),
         (f"{RUN} --align m.csv --world cam1", "--align: expected the world of the landmarks alone"),
-        (f"{RUN} --write fbx", "--write: expected one of poses-h5, "),
         (f"{RUN} --write kalibr", "--write: expected one of poses-h5, "),  # only read
         (f"{RUN} --write trc --fps 30", "convert OUT/poses3d.h5 NEW --to trc --fps FPS"),
         (f"{RUN} --write colmap --write pose2sim", "convert OUT/cameras.yaml NEW --to pose2sim"),
-        ("batch a -o o --write fbx", "--write: expected one of poses-h5, "),
         ("scale out", "expected a known length, found none; say --height"),
         (f"adjust {EXAMPLE}/keypoints --rig - --matches - -q", "--rig and --matches cannot both"),
     ],
@@ -302,12 +247,6 @@ def test_models_and_skeletons_are_offered_beside_files(tool, monkeypatch):
 )
 def test_paths_are_offered_where_paths_are_expected(line, tool, monkeypatch):
     assert offered(tool, monkeypatch, f"{line} ") == FILES
-
-
-def test_completion_is_documented_for_each_shell():
-    page = (ROOT / "docs" / "completion.md").read_text("utf-8")
-    for shell in ("bash", "zsh", "fish"):
-        assert f"_MOCAP_CALIB_COMPLETE={shell}_source mocap-calib" in page
 
 
 def test_bash_gets_formats_without_torch():

@@ -2,17 +2,16 @@
 
 import json
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
+from golden.command import call
 
 import mocap_calib as mc
 from mocap_calib.results import VERDICTS, Cause, Verdict
-from mocap_calib_cli.main import main
 
 WHY = "cam1 may be turned by 4.0 deg"
 REMEDY = "cam1 and cam2 face each other: add a camera between them"
@@ -34,19 +33,13 @@ def judged(result: mc.CalibrationResult, *verdicts: str) -> mc.CalibrationResult
 
 
 @pytest.fixture
-def here(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., subprocess.CompletedProcess[str]]:
+def here(tmp_path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs the command in this process."""
 
     def run(*words: object) -> subprocess.CompletedProcess[str]:
-        texts = [str(word) for word in words]
-        monkeypatch.setattr(sys, "argv", ["mocap-calib", *texts])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as end:
-            main()
-        said = capsys.readouterr()
-        return subprocess.CompletedProcess(texts, int(end.value.code or 0), said.out, said.err)
+        done = call(*words, folder=tmp_path)
+        said = "".join(f"{line}\n" for line in done.stderr)
+        return subprocess.CompletedProcess(words, done.status, done.stdout.decode(), said)
 
     return run
 
@@ -166,14 +159,6 @@ def test_reasons_are_said_once_and_stand_in_the_files(run, tmp_path):
     assert said.count(WHY) == said.count(REMEDY) == said.count("rig weak") == 1
     for name in ("cameras.yaml", "calibration.toml"):
         assert f"#   {REASON}\n" in (tmp_path / "out" / name).read_text("utf-8")
-
-
-@pytest.mark.parametrize("command", ["run", "batch", "adjust"])
-def test_one_cannot_refuse_and_accept(command, tool):
-    files = ["--rig", "r", "--matches", "m"] if command == "adjust" else ["-o", "out"]
-    done = tool(command, "k", *files, "--strict", "--accept", "not-determined")
-    assert done.returncode == 2
-    assert "--strict: expected it without --accept" in done.stderr
 
 
 @pytest.fixture
