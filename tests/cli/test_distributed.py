@@ -144,32 +144,6 @@ def test_pairs_of_a_rig_survive_a_worker_and_the_end_of_the_scheduler_is_one_lin
 
 
 @pytest.mark.slow
-def test_recordings_survive_a_worker(machines, tool, tmp_path):
-    """One of the recordings fails there as it does here; the others have the same bytes."""
-    for seed in range(3):
-        words = ("--cameras", 3, "--people", 1, "--frames", 30, "--seed", seed)
-        tool("simulate", "-o", tmp_path / f"s{seed}", *words)
-    spoilt = tmp_path / "s1" / "keypoints"
-    for view, other in (("cam1", "nose"), ("cam2", "left_ear")):  # no joint in common
-        content = json.loads((spoilt / f"{view}.json").read_text())
-        content["categories"][0]["keypoints"] = [other, *(f"{view}_{k}" for k in range(1, 17))]
-        (spoilt / f"{view}.json").write_text(json.dumps(content))
-    (spoilt / "cam3.json").unlink()
-    command = ["batch", "s0", "s1", "s2", "--cameras", "intrinsics.toml", "--json", "-q", "-o"]
-    with machines.killing():
-        there = tool(*command, "there", "--scheduler", machines.address, cwd=tmp_path)
-    here = tool(*command, "here", cwd=tmp_path)
-    assert [r["status"] for r in json.loads(there.stdout)["recordings"]] == [
-        "done",
-        "failed",
-        "done",
-    ]
-    assert (there.returncode, there.stderr) == (1, here.stderr)
-    assert json.loads(there.stdout.replace("there", "here")) == json.loads(here.stdout)
-    assert contents(tmp_path / "there") == contents(tmp_path / "here")
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("address", "said"),
     [

@@ -84,19 +84,12 @@ QUICK = "--frames 2 --cameras 2"
 @pytest.mark.parametrize(
     ("typed", "repeated", "bodies"),
     [
-        ("", "--seed 0", "3 people"),
-        ("--people 2", "--people 2 --seed 0", "2 people"),
         ("--kind people:2", "--people 2 --seed 0", "2 people"),
-        ("--kind rodent", "--kind rodent:1 --seed 0", "1 rodent"),
         ("--kind bird --kind bird:2", "--kind bird:3 --seed 0", "3 birds"),
+        ("--people 1 --kind rodent", "--people 1 --kind rodent:1 --seed 0", "1 person, 1 rodent"),
         (
-            "--people 2 --kind quadruped --seed 3",
-            "--people 2 --kind quadruped:1 --seed 3",
-            "2 people, 1 quadruped",
-        ),
-        (
-            "--noise 1 --arc 90 --no-shuffle --false-detections 0",
-            "--arc 90.0 --noise 1.0 --false-detections 0.0 --no-shuffle --seed 0",
+            "--noise 1 --arc 90 --no-shuffle --false-detections 0 --seed 3",
+            "--arc 90.0 --noise 1.0 --false-detections 0.0 --no-shuffle --seed 3",
             "3 people",
         ),
     ],
@@ -120,14 +113,7 @@ def test_a_mixed_scene_is_written_with_its_truth(tool, tmp_path):
     assert "mocap-calib run --model people" in done.stderr
     check_scene(tmp_path, mc.simulate(replace(SCENE, animals=(("quadruped", 1),))))
     with np.load(tmp_path / "truth.npz") as file:
-        truth = dict(file)
-    assert truth["kinds"].tolist() == ["people", "people", "quadruped"]
-    seen = np.isfinite(truth["poses3d"][0, :, :, 0]).T.tolist()
-    has = dict(zip(truth["joints"], seen, strict=True))
-    assert has["nose"] == [True, True, True]
-    assert has["left_hand"] == [True, True, False]
-    assert has["tail_mid"] == [False, False, True]
-    assert "2 people, 1 quadruped" in (tmp_path / "README.md").read_text()
+        assert file["kinds"].tolist() == ["people", "people", "quadruped"]
 
 
 def test_the_example_that_is_shipped_is_what_its_command_makes():
@@ -139,17 +125,11 @@ def test_the_example_that_is_shipped_is_what_its_command_makes():
 
 # --- example
 
-EXAMPLES = ("people", "dog", "mouse")
 
-
-def test_without_a_name_examples_are_listed(tool):
-    done = tool("example")
-    assert [line.split()[0] for line in done.stdout.splitlines()] == [*EXAMPLES]
-
-
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", ["people", "dog", "mouse"])
 def test_each_example_is_small_complete_and_the_same_every_time(name, tool, tmp_path):
     """The second time it lies in a folder of its name; what is there already is no obstacle."""
+    assert name in [line.split()[0] for line in tool("example").stdout.splitlines()]
     for words in (("-o", "one"), (), ("-o", "one")):
         assert tool("example", name, *words, cwd=tmp_path).returncode == 0
     files = content(tmp_path / "one")
