@@ -314,6 +314,7 @@ NAN = np.nan
         ([-0.11, -0.14, -0.12, -0.13], 0.05, [0, 1, 2, 3]),  # alike, at 2.5 sigma each
         ([-0.05, -0.04, -0.06, -0.05], 0.05, []),
         ([-0.12, -0.14, -0.12, 0.1], 0.05, []),  # one contradicts
+        ([-0.044, -0.044, -0.044, -0.06], 0.005, [0, 1, 2, 3]),  # lenses differ by 2 %
         ([NAN, -0.13, -0.12], 0.05, []),
         ([-0.12, -0.13, NAN], 0.05, []),
     ],
@@ -722,6 +723,21 @@ def test_wrong_detections_noise_and_frames_that_do_not_show_everybody_do_not_mat
     assert np.degrees(angle_between(rotation, ROTATION)) < 0.4
     close(np.diag(matrix)[:2], [900, 910], rtol=0.005)
     np.testing.assert_array_equal(found.individual[1::3], shown[1::3])
+
+
+def test_a_projection_of_near_and_far_bodies_costs_less_than_the_true_one():
+    """In noise of 4 px, by 0.6 % in the mean of six scenes; 0.2 % if errors grew with depth."""
+    near, less = np.column_stack([ROTATION, TRANSLATION - [0, 0, 2.5]]), []
+    for seed in range(6):
+        points = bodies(frames=60, seed=seed)
+        inside = points @ ROTATION.T + near[:, 3]
+        seen = inside @ MATRIX.T
+        image = seen[..., :2] / seen[..., 2:]
+        image += 4 * np.random.default_rng(seed).normal(size=image.shape)
+        known = sighting(points, np.where(inside[..., 2:] > 0.7, image, np.nan))
+        found = resect(known, ResectionConfig(), seed=0)
+        less.append(found.cost / match(known, MATRIX @ near, found.tolerance)[1] - 1)
+    assert np.mean(less) < -0.004
 
 
 def test_without_enough_frames_there_is_no_projection():
