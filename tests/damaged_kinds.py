@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conformance import CORPUS, KEYPOINTS, TARGETS
-from corruption import damaged
 from golden.cases import written
 from golden.command import call
+from golden.damage import damaged
 
 import mocap_calib as mc
 
@@ -118,122 +118,53 @@ def _corpus(kind: str, name: str, _: Path) -> Kind:
     return Kind(files, calls)
 
 
-def _by_command(files: Mapping[str, bytes], *commands: tuple[object, ...]) -> Kind:
-    """Return a kind of files that commands read, in their folder."""
-    return Kind(
-        files,
-        lambda folder: [partial(command, *words, folder=folder) for words in commands],
-    )
-
-
-RUN = ("run", "nothing", "-o", "new", "--config", "recording.yaml")
-
-
-def _options(content: bytes, results: Path) -> Kind:
-    """What `run --config` reads, which names landmarks, cameras, clocks and lengths."""
-    cameras = {"calibration.toml": (results / "calibration.toml").read_bytes()}
-    return _by_command({"recording.yaml": content, "landmarks.csv": LANDMARKS, **cameras}, RUN)
-
-
-def _names(_: Path) -> Kind:
-    return _by_command(
-        {"names.yaml": b"aliases:\n  schnauze: nose\n  linkes_ohr: left_ear\n"}
-        | {f"{name}.csv": b"frame,keypoint,x,y\n0,schnauze,1,2\n" for name in "ab"},
-        ("inspect", "a.csv", "b.csv", "--skeleton", "names.yaml", "--image-size", "8x8"),
-    )
-
-
-def _skeleton(_: Path) -> Kind:
-    """What `train` reads of a skeleton, before the poses that are not there."""
-    skeleton = (PACKAGE / "skeletons" / "rodent.yaml").read_bytes()
-    words = ("train", "nothing.npz", "--skeleton", "rodent.yaml", "-o", "new.safetensors")
-    return _by_command({"rodent.yaml": skeleton}, words)
-
-
 def _weights(_: Path) -> Kind:
-    weights = (PACKAGE / "weights" / "people.safetensors").read_bytes()
+    files = {f"{name}.csv": b"frame,keypoint,x,y\n0,nose,%d,2\n" % k for k, name in enumerate("ab")}
+    files["own.safetensors"] = (PACKAGE / "weights" / "people.safetensors").read_bytes()
 
     def read(folder: Path) -> None:
         paths = [folder / f"{name}.csv" for name in "ab"]
         mc.read_recording(paths, model=folder / "own.safetensors", image_size=(8, 8))
 
-    tables = {
-        f"{name}.csv": b"frame,keypoint,x,y\n0,nose,%d,2\n" % k for k, name in enumerate("ab")
-    }
-    return Kind(
-        {"own.safetensors": weights, **tables},
-        lambda folder: [partial(refused, partial(read, folder))],
-    )
+    return Kind(files, lambda folder: [partial(refused, partial(read, folder))])
 
 
-def _stages(results: Path) -> Kind:
-    """What the commands of single stages read: pairs and matches."""
-    scene = written(results / "scene")
-    keypoints = {path: content for path, content in scene.items() if path.startswith("keypoints")}
-    names = ("matches.csv", "pairs.json", "cameras.yaml")
-    return _by_command(
-        {name: (results / name).read_bytes() for name in names} | keypoints,
+TRIANGULATE = ("triangulate", "keypoints", "--rig", "cameras.yaml", "--matches", "matches.csv")
+CONFIG = ("run", "nothing", "-o", "new", "--config", "recording.yaml")
+# what reads files together, in their folder
+COMMANDS: dict[str, tuple[tuple[object, ...], ...]] = {
+    "commands/recording": (CONFIG,),
+    "commands/scene": (CONFIG,),
+    "commands/names": (
+        ("inspect", "a.csv", "b.csv", "--skeleton", "names.yaml", "--image-size", "8x8"),
+    ),
+    "skeleton": (("train", "nothing.npz", "--skeleton", "rodent.yaml", "-o", "new.safetensors"),),
+    "stages": (
         ("average", "pairs.json", "-o", "new.yaml", "-q"),
-        ("triangulate", "keypoints", "--rig", "cameras.yaml", "--matches", "matches.csv")
-        + ("-o", "new.h5", "-q"),
+        (*TRIANGULATE, "-o", "new.h5", "-q"),
+    ),
+    "results": (("report", ".", "-o", "new.html", "-q"), ("convert", ".", "new.npz", "-q")),
+}
+# of a run, what the commands of single stages read, and `report` and `convert`
+STAGES = ("matches.csv", "pairs.json", "cameras.yaml")
+RESULTS = ("run.json", "cameras.yaml", "matches.csv", "poses3d.h5")
+
+
+def _commanded(name: str, results: Path) -> Kind:
+    if name.startswith("commands/"):
+        files = written(CORPUS / name) | written(CORPUS / "cameras" / "anipose")
+    elif name == "skeleton":
+        files = {"rodent.yaml": (PACKAGE / "skeletons" / "rodent.yaml").read_bytes()}
+    else:
+        kept = RESULTS if name == "results" else STAGES
+        files = {each: (results / each).read_bytes() for each in kept}
+        scene = written(results / "scene" / "keypoints") if name == "stages" else {}
+        files |= {f"keypoints/{path}": content for path, content in scene.items()}
+    return Kind(
+        files,
+        lambda folder: [partial(command, *words, folder=folder) for words in COMMANDS[name]],
     )
 
-
-def _results(results: Path) -> Kind:
-    """What a run wrote, for `report`, `overlay` and `convert`."""
-    names = ("run.json", "cameras.yaml", "matches.csv", "poses3d.h5")
-    return _by_command(
-        {f"out/{name}": (results / name).read_bytes() for name in names},
-        ("report", "out", "-o", "new.html", "-q"),
-        ("convert", "out", "new.npz", "-q"),
-    )
-
-
-LANDMARKS = b"""name,x,y,z,camera,u,v
-corner,0,0,0,cam1,100.5,200
-corner,0,0,0,cam2,300,220
-door,2.5,0,1.9,cam1,500,80
-"""
-KNOWN = b"""# what is known of a recording
-cameras: calibration.toml
-views: left,right
-image-size: 1920x1080
-layout: coco_17
-camera-regex: cam(?P<camera>[0-9]+)
-frame-offset: [cam1:-3, cam2:5]
-crop-offset: cam1:10,20.5
-fps:
-  - 60
-  - cam2:29.97
-sync: check
-rotated: cam1:90
-resized: cam2:0.5
-moved: cam1:120
-mirrored: cam1
-sides: [cam1, cam2]
-refine: focal
-focal-uncertainty: 5%
-individuals: 3
-seed: 1
-world: floor
-height:
-  - 0=1.75+-0.01
-  - 1.8
-length: left_hip-left_knee=0.42+-0.01
-camera-distance: cam1-cam2=3.1+-0.02
-forward: left_hip-nose
-smooth: bones
-strict: true
-"""
-ALIGNED = b"""# a scene whose landmarks are known
-cameras: calibration.toml
-align: landmarks.csv
-mirrored: [cam1, cam2]
-mend: auto
-pairs: chosen
-focal-per-camera: true
-refine: focal
-"""
 
 # name: what makes it, of the folder that `make_results` filled
 KINDS: dict[str, Callable[[Path], Kind]] = {
@@ -242,13 +173,8 @@ KINDS: dict[str, Callable[[Path], Kind]] = {
         for kind in TARGETS
         for path in sorted((CORPUS / kind).iterdir())
     },
-    "options": partial(_options, KNOWN),
-    "options of a scene": partial(_options, ALIGNED),
-    "names of joints": _names,
-    "skeleton": _skeleton,
-    "stages": _stages,
+    **{name: partial(_commanded, name) for name in COMMANDS},
     "weights": _weights,
-    "results": _results,
 }
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import pandas
 import pytest
 from conformance import CORPUS, FRAMES, NAMES, SIZE, recording
-from corruption import change_store
+from golden.damage import change_store
 
 import mocap_calib as mc
 

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 import xarray
 from conformance import CORPUS, POSES
-from corruption import change_store
 from golden.command import call
+from golden.damage import change_store
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
