@@ -119,7 +119,7 @@ DOORS = {  # module: where alone it is imported
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),
     "pycolmap": (
         "mocap_calib/io/formats/colmap_model.py",
-        "mocap_calib/paper/__init__.py",
+        "mocap_calib/paper/five_point.py",
     ),
     "h5py": ("mocap_calib/io/",),
     "h5netcdf": ("mocap_calib/io/",),

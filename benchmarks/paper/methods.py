@@ -14,7 +14,7 @@ from mocap_calib.lift import lift, rays_by_joint
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.pairs.solve import calibrate_pair
 from mocap_calib.pairs.view_pair import gather_view_pair
-from mocap_calib.paper import (
+from mocap_calib.paper.five_point import (
     FIVE_POINT_LEAST_JOINTS,
     Estimator,
     FivePointConfig,

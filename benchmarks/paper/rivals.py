@@ -22,7 +22,7 @@ from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angl
 from mocap_calib.geometry.rotation import align_by_similarity, matrix_from_vector, nearest_rotation
 from mocap_calib.lift import rays_by_joint
 from mocap_calib.pairs.affinity import mutual_best
-from mocap_calib.paper import Found
+from mocap_calib.paper.five_point import Found
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import LiftedPoses
 from mocap_calib.types import Bools, Floats, Sample, Skeleton

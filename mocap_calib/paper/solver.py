@@ -19,7 +19,7 @@ from mocap_calib.config import LEAST_FORWARD, LEAST_JOINTS
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.lift import rays_by_joint
 from mocap_calib.pairs.view_pair import ViewPair
-from mocap_calib.paper import Found
+from mocap_calib.paper.five_point import Found
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.training import torch_threads
 from mocap_calib.training.model import Model, matrix_from_vector, normalise, prepare_steering

@@ -22,9 +22,9 @@ from mocap_calib.geometry.rotation import (
 from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
 from mocap_calib.lift.lifter import ModelConfig, load_lifter
 from mocap_calib.pairs.view_pair import gather_view_pair
-from mocap_calib.paper import (
+from mocap_calib.paper import ReferencePairs
+from mocap_calib.paper.five_point import (
     FivePointConfig,
-    ReferencePairs,
     estimate_by_loransac,
     find_by_five_point,
     five_point_over_matches,
