@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.rotation import looking_along, rig_size
 from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.notebook.colours import colour_of
+from mocap_calib.notebook.shapes import camera_lines, floor_lines
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.results import GroupResult
 from mocap_calib.types import ARBITRARY, CameraRig, Floats, Ints
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 Lines = NDArray[np.float32]  # `[point, 3]`, NaN between pieces; 32 bits are a tenth of a hair
 
 _CAMERA_COLOUR, _FLOOR_COLOUR = "#555555", "#bbbbbb"
-_FRUSTUM = 0.15  # depth of a drawn camera, in sizes of the rig
-_FLOOR_LINES = 11  # in each direction
 _MOMENT_MS = 50  # how long a moment is shown when the figure plays
 
 
@@ -106,14 +104,8 @@ def _bodies(positions: Floats, pieces: Ints) -> list[Lines]:
 
 def _draw_cameras(rig: CameraRig) -> list[dict[str, Any]]:
     """Return the frusta of the cameras, and their names."""
-    lines = np.concatenate([_frustum(rig, view) for view in range(len(rig))])
-    frusta = _trace(
-        lines.astype(np.float32),
-        mode="lines",
-        name="cameras",
-        line={"width": 2, "color": _CAMERA_COLOUR},
-        hoverinfo="skip",
-    )
+    lines = np.concatenate([camera_lines(rig, view) for view in range(len(rig))])
+    frusta = _draw_lines(lines, "cameras", {"width": 2, "color": _CAMERA_COLOUR})
     names = _trace(
         rig.centres.astype(np.float32),
         mode="markers+text",
@@ -124,37 +116,16 @@ def _draw_cameras(rig: CameraRig) -> list[dict[str, Any]]:
     return [frusta, names]
 
 
-def _frustum(rig: CameraRig, view: int) -> Floats:
-    """Return the edges of a pyramid from a camera through the corners of its image."""
-    camera = rig.cameras[view]
-    width, height = camera.size if all(camera.size) else 2 * camera.matrix[:2, 2]
-    corners = np.array([[0, 0, 1], [width, 0, 1], [width, height, 1], [0, height, 1]], dtype=float)
-    rays = corners @ np.linalg.inv(camera.matrix).T * _FRUSTUM * rig_size(rig)
-    points = (rays - rig.translation[view]) @ rig.rotation[view]
-    centre, end = rig.centres[view], np.full(3, np.nan)
-    edges = [[centre, points[k], points[(k + 1) % 4], end] for k in range(4)]
-    return np.array(edges).reshape(-1, 3)
-
-
 def _draw_floor(group: GroupResult) -> list[dict[str, Any]]:
-    """Return a grid on the floor below the cameras, nothing where it is not known."""
-    world = group.rig.world
-    if not np.isfinite([world.up, world.floor]).all():
-        return []
-    axes = looking_along(world.up[None], np.array([0.0, 1.0, 0.0]))[0][:2]
-    centres = (group.rig.centres - world.floor) @ axes.T
-    low, high = centres.min(0), centres.max(0)
-    steps = np.linspace(0, 1, _FLOOR_LINES)
-    end = np.full(2, np.nan)
-    lines = []
-    for share in steps:
-        x, y = low + share * (high - low)
-        lines += [[x, low[1]], [x, high[1]], end, [low[0], y], [high[0], y], end]
-    points = np.array(lines) @ axes + world.floor
-    line = {"width": 1, "color": _FLOOR_COLOUR}
-    return [
-        _trace(points.astype(np.float32), mode="lines", name="floor", line=line, hoverinfo="skip")
-    ]
+    """Return a grid on the floor where bodies are, nothing where it is not known."""
+    lines = floor_lines(group.rig, group.poses)
+    return [_draw_lines(lines, "floor", {"width": 1, "color": _FLOOR_COLOUR})] if len(lines) else []
+
+
+def _draw_lines(lines: Floats, name: str, line: dict[str, Any]) -> dict[str, Any]:
+    """Return lines `[line, 2, 3]` as one trace."""
+    ended = np.pad(lines, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 3)
+    return _trace(ended.astype(np.float32), mode="lines", name=name, line=line, hoverinfo="skip")
 
 
 # --- how it is laid out

@@ -14,14 +14,12 @@ from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.notebook.colours import colour_of, rgb
-from mocap_calib.results import Poses3D
-from mocap_calib.types import ARBITRARY, METRES, Camera, CameraRig, Floats
+from mocap_calib.types import Camera, CameraRig, Floats
 
 Image = Any  # numpy's array of uint8 [height, width, 3], blue green red
 _SHIFT = 4  # bits of a pixel that OpenCV draws with
 _PIECES = 24  # of a line, so that a lens may bend it
 _MARGIN = 1.1  # by which what is drawn may lie outside the image, as an angle
-_GRID_LINES = 10
 _WHITE = "#ffffff"
 _LARGEST = 2**20  # pixels that OpenCV can be given
 
@@ -105,58 +103,6 @@ def _widest_angle(camera: Camera) -> float:
     rays = rays_from_pixels(camera, np.concatenate(border))
     angles = np.arccos(np.clip(rays[:, 2], -1, 1))
     return _MARGIN * float(np.nanmax(angles)) if np.isfinite(angles).any() else np.pi / 3
-
-
-def floor_lines(rig: CameraRig, poses: Poses3D) -> Floats:
-    """Return the lines `[line, 2, 3]` of a grid on the floor where bodies are; none without floor.
-
-    They are a metre apart, or as far as makes ten of them: a power of ten times 1, 2 or 5.
-    """
-    world, points = rig.world, poses.positions.reshape(-1, 3)
-    points = points[np.isfinite(points[:, 0])]
-    if not (np.isfinite(world.up).all() and np.isfinite(world.floor).all() and len(points)):
-        return np.zeros((0, 2, 3))
-    first = np.cross(world.up, np.eye(3)[np.abs(world.up).argmin()])
-    first /= np.linalg.norm(first)
-    axes = np.stack([first, np.cross(world.up, first)])
-    places = (points - world.floor) @ axes.T
-    low, high = np.percentile(places, [1, 99], axis=0)
-    reach = max(float((high - low).max()), 0.5 * (rig_size(rig) or 1.0))
-    step = 1.0 / METRES[rig.unit] if rig.unit != ARBITRARY else _round_step(reach / _GRID_LINES)
-    if reach / step > 5 * _GRID_LINES or reach < step:
-        step = _round_step(reach / _GRID_LINES)
-    begin = np.floor((low - 0.1 * reach) / step).astype(int)
-    end = np.ceil((high + 0.1 * reach) / step).astype(int)
-    lines = []
-    for axis in (0, 1):
-        for k in range(begin[axis], end[axis] + 1):
-            line = np.zeros((2, 2))
-            line[:, axis] = k * step
-            line[:, 1 - axis] = begin[1 - axis] * step, end[1 - axis] * step
-            lines.append(world.floor + line @ axes)
-    return np.array(lines)
-
-
-def _round_step(length: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is not above a length."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(power * max(factor for factor in (1, 2, 5) if factor * power <= length * 1.001))
-
-
-def camera_lines(rig: CameraRig, name: str) -> Floats:
-    """Return the edges `[line, 2, 3]` of a pyramid for each camera of a rig but one."""
-    depth, lines = 0.12 * (rig_size(rig) or 1.0), []
-    for view, camera in enumerate(rig.cameras):
-        width, height = camera.size if all(camera.size) else 2 * camera.matrix[:2, 2]
-        if camera.name == name:
-            continue
-        half = depth * 0.5 * np.array([width, height]) / camera.focal
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-        corners = np.concatenate([corners, np.full((4, 1), depth)], 1)
-        corners = (corners - rig.translation[view]) @ rig.rotation[view]
-        lines += [(rig.centres[view], corner) for corner in corners]
-        lines += list(zip(corners, np.roll(corners, 1, axis=0), strict=True))
-    return np.array(lines).reshape(-1, 2, 3)
 
 
 def draw_lines(image: Image, lines: Floats, colour: str, width: int) -> None:

@@ -11,6 +11,7 @@ from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import MismatchError, argument, suggest
 from mocap_calib.io.atomic import replace_folder
 from mocap_calib.notebook.colours import colour_of
+from mocap_calib.notebook.shapes import camera_lines, floor_lines
 from mocap_calib.overlay import drawing
 from mocap_calib.overlay.drawing import Image, View
 from mocap_calib.overlay.results import CameraResults, Results
@@ -173,16 +174,13 @@ class _Stage:
     def of(cls, view: View, rig: CameraRig, camera: CameraResults) -> "_Stage":
         """Return what a view shows of a rig and of the floor."""
         size, own = np.array(view.camera.size), np.array(rig[camera.name].size)
+        others = [k for k, name in enumerate(rig.names) if name != camera.name]
         return cls(
             camera=camera,
             view=view,
-            floor=view.bend(drawing.floor_lines(rig, camera.results.poses.poses)),
-            cameras=view.bend(drawing.camera_lines(rig, camera.name)),
-            labels=tuple(
-                (name, view.project(centre))
-                for name, centre in zip(rig.names, rig.centres, strict=True)
-                if name != camera.name
-            ),
+            floor=view.bend(floor_lines(rig, camera.results.poses.poses)),
+            cameras=view.bend(np.concatenate([camera_lines(rig, k) for k in others])),
+            labels=tuple((rig.names[k], view.project(rig.centres[k])) for k in others),
             unit=max(1, round(float(size[1]) / 720)),
             scale=size / own if own.all() else np.ones(2),
         )

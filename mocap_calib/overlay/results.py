@@ -121,18 +121,15 @@ class CameraResults:
         """
         poses = self.results.poses.poses
         place = int(np.searchsorted(poses.frames, moment, side="right")) - 1
-        if not np.isfinite(moment) or place < 0:
-            return np.full(poses.positions.shape[1:], np.nan)
-        part = moment - poses.frames[place]
-        if part < 1e-6:
-            return poses.positions[place]
-        if place + 1 == len(poses.frames):
-            return np.full(poses.positions.shape[1:], np.nan)
-        step = poses.frames[place + 1] - poses.frames[place]
-        if step > usual_step(poses.frames):
-            return np.full(poses.positions.shape[1:], np.nan)
-        before, after = poses.positions[place : place + 2]
-        return np.asarray(before + part / step * (after - before))
+        if np.isfinite(moment) and place >= 0:
+            part = moment - poses.frames[place]
+            if part < 1e-6:
+                return poses.positions[place]
+            step = np.diff(poses.frames[place : place + 2])  # of the last frame none
+            if len(step) and step[0] <= usual_step(poses.frames):
+                before, after = poses.positions[place : place + 2]
+                return np.asarray(before + part / step[0] * (after - before))
+        return np.full(poses.positions.shape[1:], np.nan)
 
     def detected_at(self, number: int) -> tuple[Floats, list[int]]:
         """Return the detections `[instance, keypoint, 2]` in a frame, and who each is."""

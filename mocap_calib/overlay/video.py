@@ -50,15 +50,10 @@ def open_video(path: Path) -> Video:
     """Return what is known of a video. Raises FormatError, and MismatchError where none is."""
     if not path.is_file():
         raise MismatchError(path, "a video", "no such file", "check the path")
+    asked = ("FRAME_WIDTH", "FRAME_HEIGHT", "FPS", "FRAME_COUNT")
     with _opened(path) as capture:
         width, height, rate, frames = (
-            capture.get(each)
-            for each in (
-                cv2.CAP_PROP_FRAME_WIDTH,
-                cv2.CAP_PROP_FRAME_HEIGHT,
-                cv2.CAP_PROP_FPS,
-                cv2.CAP_PROP_FRAME_COUNT,
-            )
+            capture.get(getattr(cv2, f"CAP_PROP_{each}")) for each in asked
         )
     return Video(path, (int(width), int(height)), rate if rate > 0 else 30.0, int(max(frames, 0)))
 
@@ -93,39 +88,25 @@ def read_frames(video: Video, wanted: frozenset[int] | None) -> Iterator[tuple[i
 
     Raises MismatchError where the frames are not equally far apart in time.
     """
-    pace, last = _Pace(video), None if wanted is None else max(wanted, default=-1)
+    last = np.inf if wanted is None else max(wanted, default=-1)
+    usual = 1000 / video.rate
     with _opened(video.path) as capture:
-        index = 0
-        while (last is None or index <= last) and capture.grab():
-            pace.check(index, float(capture.get(cv2.CAP_PROP_POS_MSEC)))
+        index, before = 0, np.nan
+        while index <= last and capture.grab():
+            time = float(capture.get(cv2.CAP_PROP_POS_MSEC))
+            if index and not np.isclose(time - before, usual, rtol=_STEADY, atol=1.0):
+                raise MismatchError(
+                    video.path,
+                    f"frames {usual:.1f} ms apart",
+                    f"{time - before:.1f} ms before frame {index}: with a variable frame rate "
+                    "nobody knows which frame a detection is of",
+                    f"make it constant, and detect again: ffmpeg -i {video.path.name} -fps_mode "
+                    f"cfr -r {video.rate:.6g} new.mp4",
+                )
+            before = time
             if wanted is None or index in wanted:
                 whole, image = capture.retrieve()
                 if not whole:
                     return
                 yield index, image
             index += 1
-
-
-class _Pace:
-    """Holds the frames of a video to a constant rate: else a number does not tell the moment."""
-
-    def __init__(self, video: Video) -> None:
-        self.video = video
-        self.times: list[float] = []
-
-    def check(self, index: int, milliseconds: float) -> None:
-        """Look at the next frame. Raises MismatchError where it comes too early or too late."""
-        self.times = [*self.times[-1:], milliseconds]
-        if index == 0:
-            return
-        usual = 1000 / self.video.rate
-        gap = self.times[1] - self.times[0]
-        if not np.isclose(gap, usual, rtol=_STEADY, atol=1.0):
-            raise MismatchError(
-                self.video.path,
-                f"frames {usual:.1f} ms apart",
-                f"{gap:.1f} ms before frame {index}: with a variable frame rate nobody knows "
-                "which frame a detection is of",
-                f"make it constant, and detect again: ffmpeg -i {self.video.path.name} -fps_mode "
-                f"cfr -r {self.video.rate:.6g} new.mp4",
-            )
