@@ -26,7 +26,7 @@ from mocap_calib.recording.names import (
 )
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import Clocks, Mend
-from mocap_calib.types import Camera, Keypoints2D, Recording, Skeleton
+from mocap_calib.types import Keypoints2D, Recording, Skeleton
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,10 @@ class RecordingSummary:
     unknown: tuple[str, ...]
     single_camera_joints: Mapping[str, str]
     skeleton: str
-    camera_notes: tuple[str, ...] = ()
-    ignored_files: tuple[str, ...] = ()
-    filled_in: tuple[str, ...] = ()
-    unknown_cameras: tuple[str, ...] = ()
+    camera_notes: tuple[str, ...]
+    ignored_files: tuple[str, ...]
+    filled_in: tuple[str, ...]
+    unknown_cameras: tuple[str, ...]
 
     @property
     def known(self) -> int:
@@ -82,35 +82,7 @@ class RecordingSummary:
         return self.known < LEAST_JOINTS
 
 
-def summarise_recording(
-    recording: Recording,
-    views: Sequence[Keypoints2D],
-    cameras: Sequence[Camera],
-    unshared: Mapping[str, str],
-) -> RecordingSummary:
-    """Return what a recording took of the views and the cameras it was made of.
-
-    unshared: see `unshared_keypoints`.
-    """
-    found = {}
-    for view, name in zip(views, match_cameras(views, cameras), strict=True):
-        found[name] = CameraSummary(name, view.source, len(view.frames), count_detections(view))
-    names = [camera.name for camera in cameras]
-    joints = zip(recording.keypoints, recording.vocabulary, strict=True)
-    return RecordingSummary(
-        cameras=tuple(found[name] for name in names if name in found),
-        without_keypoints=tuple(name for name in names if name not in found),
-        left_out=tuple(name for name in names if name not in recording.names),
-        lone_detections=_count_lone_detections(views, recording),
-        frames=len(recording.frames),
-        keypoints=recording.keypoints,
-        unknown=tuple(name for name, joint in joints if joint < 0),
-        single_camera_joints=unshared,
-        skeleton=recording.model,
-    )
-
-
-def count_detections(view: Keypoints2D) -> int:
+def _count_detections(view: Keypoints2D) -> int:
     """Return the number of instances, in all frames, that have any keypoint."""
     blocks = mapped.frame_slices(len(view.frames))
     return sum(int(np.isfinite(view.positions[block, ..., 0]).any(-1).sum()) for block in blocks)
@@ -176,20 +148,31 @@ def load_recording(
     unknown = tuple(view.camera for view in views if known and view not in known)
     views = known or views
     skeleton, aliases = _choose_vocabulary(source, views)
-    recording = make_recording(views, cameras, skeleton, aliases)
-    recording = apply_mends(recording, source.mends)
+    recording = apply_mends(make_recording(views, cameras, skeleton, aliases), source.mends)
+    recording = replace(recording, model=source.model or skeleton.name)
     used = views_with_detections(views)
-    unshared = unshared_keypoints(used, keypoint_meanings(used, skeleton, aliases))
-    summary = summarise_recording(recording, views, cameras, unshared)
-    notes = camera_file.notes if camera_file else (ASSUMED_NOTE,)
-    summary = replace(
-        summary,
-        camera_notes=notes,
-        unknown_cameras=unknown,
+    found = {
+        name: CameraSummary(name, view.source, len(view.frames), _count_detections(view))
+        for view, name in zip(views, match_cameras(views, cameras), strict=True)
+    }
+    names = [camera.name for camera in cameras]
+    joints = zip(recording.keypoints, recording.vocabulary, strict=True)
+    summary = RecordingSummary(
+        cameras=tuple(found[name] for name in names if name in found),
+        without_keypoints=tuple(name for name in names if name not in found),
+        left_out=tuple(name for name in names if name not in recording.names),
+        lone_detections=_count_lone_detections(views, recording),
+        frames=len(recording.frames),
+        keypoints=recording.keypoints,
+        unknown=tuple(name for name, joint in joints if joint < 0),
+        single_camera_joints=unshared_keypoints(used, keypoint_meanings(used, skeleton, aliases)),
+        skeleton=skeleton.name,
+        camera_notes=camera_file.notes if camera_file else (ASSUMED_NOTE,),
         ignored_files=find_ignored_files(source.paths),
         filled_in=describe_filled(views),
+        unknown_cameras=unknown,
     )
-    return LoadedRecording(replace(recording, model=source.model or skeleton.name), summary)
+    return LoadedRecording(recording, summary)
 
 
 def find_ignored_files(arguments: Sequence[str]) -> tuple[str, ...]:

@@ -11,9 +11,7 @@ from mocap_calib.clocks.estimate import clocks_from, retime
 from mocap_calib.config import EPOCH_MARK
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import rig_size
-from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import Reference, ReportSource, Seen
-from mocap_calib.io.atomic import write_bytes
 from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.conversion import load_pose_sources
@@ -70,7 +68,7 @@ def open_results(path: Path) -> ResultsFolder:
     if not (path / REPORT).is_file():
         raise FormatError(str(path), f"a folder with {REPORT} in it", "none", _REMEDY)
     run = read_run_json(path / REPORT, SCHEMA)
-    if not run["cameras"] or not run["groups"]:
+    if not (run["cameras"] and run["groups"] and run["epochs"]):
         raise FormatError(str(path / REPORT), "cameras in a group", "none", "run again")
     return ResultsFolder(path, run)
 
@@ -96,7 +94,12 @@ def read_source(
     try:
         if keypoints is not None:
             seen = _read_seen(folder, rig, keypoints, file.poses.frames)
-            notes += _remark_detections(folder)
+            late = [each["name"] for each in folder.run["cameras"] if each["clock"]["used"]]
+            if late:
+                notes.append(
+                    f"detections of {', '.join(late)} are as in the files, a part of a frame late "
+                    "or early"
+                )
     except (FormatError, MismatchError, OSError) as error:
         if insist:
             raise
@@ -116,11 +119,6 @@ def read_source(
     )
 
 
-def write_page(source: ReportSource, path: Path) -> None:
-    """Write the page of a source. Raises MismatchError as `report_page` does."""
-    write_bytes(path, report_page(source).encode())
-
-
 def note_page(folder: ResultsFolder) -> None:
     """Put the hash of a page that was made again into run.json, which lists all files."""
     root = folder if folder.number == 0 else open_results(folder.root)
@@ -133,25 +131,22 @@ def note_page(folder: ResultsFolder) -> None:
 
 def _read_rig(folder: ResultsFolder) -> CameraRig:
     """Return the rig with a view for each place of a camera that was moved."""
-    epochs = folder.run.get("epochs") or [{"folder": ".", "first": 0, "moved": []}]
+    epochs = folder.run["epochs"]
     rigs = [read_rig(folder.path / epoch["folder"] / "cameras.yaml") for epoch in epochs]
-    first = rigs[0]
-    views = []
-    for name in first.names:
-        views.append((first, name, name))
+    posed = {}
+    for name in rigs[0].names:
+        posed[name] = rigs[0][name]
         for epoch, rig in zip(epochs[1:], rigs[1:], strict=True):
             if name in epoch["moved"]:
-                views.append((rig, name, f"{name}{EPOCH_MARK}{epoch['first']}"))
-    posed = [rig[name] for rig, name, _ in views]
-    cameras = [
-        Camera(label, camera.size, camera.matrix, camera.distortion, camera.fisheye)
-        for camera, (_, _, label) in zip(posed, views, strict=True)
-    ]
+                posed[f"{name}{EPOCH_MARK}{epoch['first']}"] = rig[name]
     return replace(
-        first,
-        cameras=tuple(cameras),
-        rotation=np.stack([camera.rotation for camera in posed]),
-        translation=np.stack([camera.translation for camera in posed]),
+        rigs[0],
+        cameras=tuple(
+            Camera(label, each.size, each.matrix, each.distortion, each.fisheye)
+            for label, each in posed.items()
+        ),
+        rotation=np.stack([each.rotation for each in posed.values()]),
+        translation=np.stack([each.translation for each in posed.values()]),
     )
 
 
@@ -188,7 +183,13 @@ def _read_seen(
     recording = retime(loaded, clocks).select(views=names)
     matches = read_matches_csv(folder.path / "matches.csv", recording, clocks)
     recording, matches = _show_frames(recording, matches, frames)
-    _check_joints(recording, folder)
+    if list(recording.keypoints) != folder.run["keypoints"]:
+        raise MismatchError(
+            "keypoints",
+            ", ".join(folder.run["keypoints"]),
+            ", ".join(recording.keypoints),
+            "give the keypoints of this run",
+        )
     later = [view.rpartition(EPOCH_MARK) for view in rig.names if view not in names]
     moves = tuple(Moved(name, int(start)) for name, _, start in later)
     split = apply_mends(recording, moves)
@@ -214,18 +215,6 @@ def _show_frames(recording: Recording, matches: Matches, frames: Ints) -> tuple[
     return recording.show(source, frames), Matches(labels)
 
 
-def _check_joints(recording: Recording, folder: ResultsFolder) -> None:
-    """Raise MismatchError where the keypoints have other joints than the results."""
-    expected = folder.run["keypoints"]
-    if list(recording.keypoints) != expected:
-        raise MismatchError(
-            "keypoints",
-            ", ".join(expected),
-            ", ".join(recording.keypoints),
-            "give the keypoints of this run",
-        )
-
-
 def _mends_of(folder: ResultsFolder) -> Sequence[Mend]:
     """Return how the run mended detections; intrinsics and places of cameras are in the rig."""
     mends: list[Mend] = []
@@ -237,15 +226,3 @@ def _mends_of(folder: ResultsFolder) -> Sequence[Mend]:
         if found.get("sides", {}).get("mended"):
             mends.append(Sides(camera["name"]))
     return mends
-
-
-def _remark_detections(folder: ResultsFolder) -> list[str]:
-    """Return how the detections differ from those that the run worked with, a line each."""
-    cameras = folder.run["cameras"]
-    late = [camera["name"] for camera in cameras if camera["clock"]["used"]]
-    notes = []
-    if late:
-        notes.append(
-            f"detections of {', '.join(late)} are as in the files, a part of a frame late or early"
-        )
-    return notes

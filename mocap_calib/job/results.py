@@ -124,8 +124,14 @@ def write_result(
                 place, group, poses, formats=formats, source=source, config=result.config
             )
             if page:
-                title = name_results(output, number)
-                write_bytes(place / PAGE, _draw_page(group, reports[number], poses, title))
+                seen = source_of_group(
+                    group,
+                    reports[number],
+                    title=name_results(output, number),
+                    edges=tuple(poses.edges),
+                    fps=poses.rate,
+                )
+                write_bytes(place / PAGE, report_page(seen).encode())
             if number == 0:
                 reports[0]["fingerprint"] = fingerprint
                 reports[0]["outputs"] = hash_files(work)
@@ -142,12 +148,6 @@ def name_results(output: Path, number: int) -> str:
     """Return what the report of a group, counted from 0, is called: by the folder of the run."""
     name = output.resolve().name
     return f"{name}/{group_folder(number)}" if number else name
-
-
-def _draw_page(group: GroupResult, report: Mapping[str, Any], poses: PoseFile, title: str) -> bytes:
-    """Return the report.html of a group. report: what its run.json holds."""
-    source = source_of_group(group, report, title=title, edges=tuple(poses.edges), fps=poses.rate)
-    return report_page(source).encode()
 
 
 def _write_further(

@@ -4,7 +4,6 @@ What lies there is rewritten together or not at all: cameras, 3D poses, and run.
 formats stay as they were, and are named.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import ScaleCue, WorldConfig
-from mocap_calib.errors import FormatError, MismatchError, argument, count
+from mocap_calib.errors import MismatchError, argument, count
 from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, write_pieces
 from mocap_calib.io.camera_files import format_rig, load_cameras, make_rig, read_rig
@@ -24,8 +23,10 @@ from mocap_calib.io.formats.own_poses import write_poses_h5
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.pose_files import load_poses
 from mocap_calib.io.results.group import PAGE, REPORT, read_outputs, write_run_json
+from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.io.world_fields import world_fields
 from mocap_calib.recording.corrections import own_name
+from mocap_calib.report import SCHEMA
 from mocap_calib.results import RigCovariance
 from mocap_calib.types import ARBITRARY, CameraRig, World
 from mocap_calib.world.floor import find_joints
@@ -161,7 +162,8 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
 
     It is no longer that of the command: it loses its fingerprint.
     """
-    outputs, report = read_outputs(folder), _read_report(folder / REPORT)
+    path, outputs = folder / REPORT, read_outputs(folder)
+    report = read_run_json(path, SCHEMA) if path.is_file() else {}
     written = hash_files(work)
     left = [name for name in outputs if name not in written and Path(name).name not in _OWN]
     if report:
@@ -178,27 +180,6 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
         f"not rewritten: {count(len(left), 'file')} of other formats or groups ({some}); "
         "write formats anew with `convert`, scale groups by themselves",
     )
-
-
-def _read_report(path: Path) -> dict[str, Any]:
-    """Return what a run.json holds, nothing where there is none. Raises FormatError."""
-    if not path.is_file():
-        return {}
-    try:
-        report: dict[str, Any] = json.loads(path.read_bytes())
-        json.dumps(report, allow_nan=False)
-        figures = [
-            (each["centre_sigma"], each["centre_sigma_percent"]) for each in report["cameras"]
-        ]
-        figures += [
-            (each.get("centre_sigma"), each.get("centre_sigma_percent")) for each in report["pairs"]
-        ]
-        np.array(figures, dtype=np.float64)  # None is NaN
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        raise FormatError(
-            str(path), "what a run writes", "other text", "remove it to scale all else"
-        ) from None
-    return report
 
 
 def _scale_figures(described: list[dict[str, Any]], rig: CameraRig, scale: Scale) -> None:

@@ -15,7 +15,6 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import PAIR_SOLVERS, Config
 from mocap_calib.errors import ClusterError, MocapCalibError
 from mocap_calib.io.camera_files import load_cameras
-from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.file import plain_path
 from mocap_calib.io.hashing import hash_file, hash_inputs
 from mocap_calib.io.provenance import date_of_making
@@ -110,14 +109,13 @@ def read_job(request: CalibrationRequest) -> Job:
     check_formats(request.formats, request.fps, unit)
     date_of_making()  # so that a bad SOURCE_DATE_EPOCH is said before anything is computed
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
-    loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
-    check_recording(request.formats, loaded.recording, request.fps, unit)
-    config = request.config
-    check_world(config.world, loaded.recording, config.matching.individuals)
-    lifter = load_model(loaded.recording.model, pair_solver=request.pair_solver)
-    solver = choose_pair_solver(
-        request.pair_solver, loaded.recording, lifter, request.config.pairwise
-    )
+    camera_file = None if request.cameras is None else load_cameras(request.cameras)
+    loaded = load_recording(request.keypoints, camera_file)
+    recording, config = loaded.recording, request.config
+    check_recording(request.formats, recording, request.fps, unit)
+    check_world(config.world, recording, config.matching.individuals)
+    lifter = load_model(recording.model, pair_solver=request.pair_solver)
+    solver = choose_pair_solver(request.pair_solver, recording, lifter, config.pairwise)
     return Job(request, hashes, loaded, lifter, solver)
 
 
@@ -196,10 +194,3 @@ def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:
     # if it was killed at the very end, the run did not come to this
     remove_unfinished(request.output)
     return report
-
-
-def _load_camera_file(cameras: Path | bytes | None) -> CameraFile | None:
-    """Return what a file or folder, or the content of a file, says of cameras."""
-    if cameras is None:
-        return None
-    return load_cameras(cameras)

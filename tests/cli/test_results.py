@@ -199,7 +199,7 @@ def test_scaled_results_are_scaled_again_and_known_units_are_left_alone(results,
         (results / "run.json").write_text(text, "utf-8")
         said = tool("scale", results, "--camera-distance", f"{names}=2")
         assert (said.returncode, said.stderr.count("\n")) == (1, 1)
-        assert "expected what a run writes" in said.stderr
+        assert "expected what `run` writes" in said.stderr
     (results / "run.json").write_text(run, "utf-8")
     assert hashes(results) == before
     given = yaml.safe_load((results / "cameras.yaml").read_text("utf-8"))

@@ -70,8 +70,10 @@ def draw_results(
 
     Raises FormatError and MismatchError.
     """
+    from mocap_calib.html_report.page import report_page
+    from mocap_calib.io.atomic import write_bytes
     from mocap_calib.io.results.group import PAGE
-    from mocap_calib.job.reports import note_page, read_source, write_page
+    from mocap_calib.job.reports import note_page, read_source
     from mocap_calib_cli import inputs
 
     read = inputs.options_of_reading(folder.run.get("reading", {}), typed)
@@ -79,7 +81,7 @@ def draw_results(
     insist = bool(typed.keypoints)
     source = read_source(folder, keypoints, insist=insist, reference=reference)
     path = output or folder.path / PAGE
-    write_page(source, path)
+    write_bytes(path, report_page(source).encode())
     if output is None:
         note_page(folder)
     return (*source.notes, f"report in {path}")

@@ -1,4 +1,4 @@
-"""Read run.json again: what `report` and `overlay` take from it is there, and of its type."""
+"""Read run.json: what `report`, `scale` and `overlay` need is there, and of its type."""
 
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,13 @@ class _Clock(msgspec.Struct):
     used: bool
 
 
-class _Camera(msgspec.Struct):
-    name: str
+class _Sigmas(msgspec.Struct):
     centre_sigma_percent: float | None
+    centre_sigma: float | None
+
+
+class _Camera(_Sigmas):
+    name: str
     fault_evidence: _FaultEvidence
     clock: _Clock
 
@@ -52,7 +56,7 @@ class _Run(msgspec.Struct):
     cameras: list[_Camera]
     groups: list[_Group]
     epochs: list[_Epoch]
-    pairs: list[Fields]
+    pairs: list[_Sigmas]
     inputs: Fields = {}
     outputs: Fields = {}
     reading: Fields = {}
