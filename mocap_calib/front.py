@@ -22,10 +22,9 @@ from mocap_calib.io.camera_files import CAMERA_FORMATS, load_cameras, write_came
 from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.keypoints import write_keypoints
 from mocap_calib.io.kinds import choose_format
-from mocap_calib.io.layouts import parse_layout
 from mocap_calib.io.pose_files import POSE_FORMATS, write_poses
 from mocap_calib.io.poses import check_rate, describe_poses
-from mocap_calib.io.read_options import ReadOptions
+from mocap_calib.io.read_options import ReadOptions, parse_layout
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.notebook.tables import describe_group, describe_result, describe_rig
 from mocap_calib.results import CalibrationResult, GroupResult, Mend, Poses3D

@@ -30,14 +30,14 @@ def _formats(
 
 def _layouts() -> dict[str, str]:
     """Return name -> number of points of the layouts of keypoints."""
-    from mocap_calib.io.layouts import LAYOUTS
+    from mocap_calib.io.read_options import layouts
 
-    return {name: f"{len(names)} keypoints" for name, names in LAYOUTS.items()}
+    return {name: f"{len(names)} keypoints" for name, names in layouts().items()}
 
 
 def _layout(text: str) -> tuple[str, ...]:
     """Return the names of a layout, or those typed. Raises MismatchError."""
-    from mocap_calib.io.layouts import parse_layout
+    from mocap_calib.io.read_options import parse_layout
 
     return parse_layout(text)
 

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,15 +12,15 @@ from mocap_calib.errors import FormatError, argument, one_line
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_FRAME, MOST_POINTS, Origin, find_repeated
 from mocap_calib.io.format import Loss
-from mocap_calib.io.layouts import choose_layout
-from mocap_calib.io.read_options import ReadOptions
+from mocap_calib.io.read_options import ReadOptions, choose_layout
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 NO_SCORE = "no scores in the file: every point counts fully"
 ABSENT_FRAMES = "frames without a detection are not in the file"
 MOST_INSTANCES = 1000  # in a frame
+_NO_SCORE = "no score"
 _MISSING = ("(0, 0)", "(-1, -1)", "empty or NaN", "confidence 0")  # how files mark missing points
-_POINTS_AT_A_TIME = 50_000
+_POINTS_AT_A_TIME = 10_000  # which a processor holds
 _MOST_CAMERAS = 200  # in a file; the time to compare views grows with the square of their number
 _MOST_KEYPOINTS = 5000
 _PLAIN_DIGITS = 18  # of a number below LARGEST_FRAME, whatever the digits are
@@ -62,26 +62,14 @@ def cameras_by_pattern(names: Sequence[str], pattern: str, *, named: str, source
 
 def check_cameras(cameras: Sequence[str], source: str) -> None:
     """Raise FormatError where a file has more cameras than anybody: another column was taken."""
-    _check_count(cameras, _MOST_CAMERAS, "cameras in a file", "the cameras", source)
+    _check_count(cameras, _MOST_CAMERAS, "cameras in a file", source)
 
 
-def unique_names(names: Sequence[str], source: str) -> tuple[str, ...]:
-    """Return the keypoint names as they are.
-
-    Raises FormatError where one occurs twice, or there are more than anybody has.
-    """
-    _check_count(names, _MOST_KEYPOINTS, "keypoints", "the keypoints", source)
-    twice = find_repeated(names)
-    if twice:
-        found = f"{', '.join(twice)} twice"
-        raise FormatError(source, "each keypoint name once", found, "rename one of them")
-    return tuple(names)
-
-
-def _check_count(names: Sequence[str], most: int, what: str, named: str, source: str) -> None:
+def _check_count(names: Sequence[str], most: int, what: str, source: str) -> None:
+    """Raise FormatError for more names than anybody has: another column was taken for them."""
     if len(names) > most:
         found = f"{len(names)} ({', '.join(names[:3])}, ...)"
-        raise FormatError(source, f"at most {most} {what}", found, f"check what names {named}")
+        raise FormatError(source, f"at most {most} {what}", found, "check what names them")
 
 
 def frame_number(name: str) -> int:
@@ -137,49 +125,15 @@ def is_list_of(entries: Any, *keys: str) -> bool:
     return all(isinstance(entry, dict) and set(keys) <= entry.keys() for entry in entries[:20])
 
 
-def triples(numbers: Sequence[float | None], source: str, named: str) -> Floats:
-    """Return `[keypoint, 3]` of a flat list x, y, c; `named` is what messages call it.
+def triples(numbers: Sequence[float | None] | None, source: str, named: str) -> Floats:
+    """Return `[keypoint, 3]` of a flat list x, y, c, or of none; `named` is what messages call it.
 
     Raises FormatError.
     """
-    if len(numbers) % 3:
+    if len(numbers or ()) % 3:
         expected = f"`{named}` to be a list of x, y, c"
-        raise FormatError(source, expected, f"{len(numbers)} numbers", "export it again")
-    return np.array(numbers, dtype=np.float64).reshape(-1, 3)
-
-
-def view_of_frames(
-    document: Document,
-    options: ReadOptions,
-    frames: Sequence[int],
-    detections: Sequence[Sequence[Any]],
-    *,
-    unambiguous: tuple[str, ...] = (),
-    rows: Sequence[object] | None = None,
-    remarks: tuple[str, ...] = (),
-    visibility: bool = False,
-) -> Keypoints2D:
-    """Return the camera of detections in any order whose keypoints have no names.
-
-    frames: `[frame]` numbers.
-    detections: `[keypoint, 3]` x, y and confidence of each detection of each frame.
-    unambiguous: see `choose_layout`. rows, remarks: see `make_view`.
-    visibility: confidences may be COCO's flags.
-
-    Raises FormatError.
-    """
-    count = max((len(points) for frame in detections for points in frame), default=0)
-    if count == 0:
-        found, remedy = f"none in {len(detections)} frames", "check the detector's output"
-        raise document.refuse("detections in one of its frames", found, remedy)
-    names = choose_layout(
-        count, given=options.layout, source=document.source, unambiguous=unambiguous
-    )
-    values = stack_detections(detections, count, document.source)
-    if visibility:
-        values[..., 2] = visibility_as_confidence(values[..., 2])
-    origin = document.origin
-    return make_view(origin, names, frames, values, tracked=False, rows=rows, remarks=remarks)
+        raise FormatError(source, expected, f"{len(numbers or ())} numbers", "export it again")
+    return np.array(numbers or (), dtype=np.float64).reshape(-1, 3)
 
 
 # --- detections
@@ -191,57 +145,67 @@ def make_view(
     frames: Sequence[int] | Ints,
     values: Floats,
     *,
-    tracked: bool,
+    tracked: bool = False,
     image_size: tuple[int, int] = (0, 0),
-    rows: Sequence[object] | None = None,
+    row_name: Callable[[int], object] | None = None,
     remarks: tuple[str, ...] = (),
 ) -> Keypoints2D:
     """Return the record of detections, with frames in order and missing points marked.
 
+    Points without a score get 1, as labelled by hand, and a remark.
+
     names: `[keypoint]`.
     frames: `[frame]` numbers, in any order.
-    values: `[frame, instance, keypoint, 3]` x, y (pixels) and confidence.
-    rows: `[frame]` what messages call the frames.
+    values: `[frame, instance, keypoint, 3]` x, y (pixels) and a score, or COCO's visibility
+        (0 not labelled, 1 occluded, 2 visible), which becomes 0, 0.5, 1.
+    row_name: what messages call a frame (an index); None: its number.
 
     Raises FormatError where a frame number or a name occurs twice.
     """
+    _check_count(names, _MOST_KEYPOINTS, "keypoints", origin.source)
+    twice = find_repeated(names)
+    if twice:
+        found = f"{', '.join(twice)} twice"
+        raise FormatError(origin.source, "each keypoint name once", found, "rename one of them")
     numbers = np.asarray(frames, dtype=np.int64)
-    order = _frame_order(numbers, numbers.tolist() if rows is None else rows, origin.source)
+    order = _frame_order(numbers, row_name or numbers.item, origin.source)
+    third = values[..., 2]
+    are_flags = (third == 2).any() and np.isin(third[third >= 0], (0, 1, 2)).all()
     shape = values.shape[:3]
     positions, confidence = mapped.empty((*shape, 2)), mapped.empty(shape)
-    missing: Counter[str] = Counter()
-    step = max(1, _POINTS_AT_A_TIME // max(1, values[0].size // 3 if len(values) else 1))
+    counts: Counter[str] = Counter()
+    step = max(1, _POINTS_AT_A_TIME // max(1, shape[1] * shape[2]))
     for start in range(0, len(order), step):  # so that nothing of this size is made in between
-        part = values[mapped.as_slice(order[start : start + step])]
+        x, y, score = np.moveaxis(values[mapped.as_slice(order[start : start + step])], -1, 0)
         block = slice(start, start + step)
-        positions[block], confidence[block] = _mark_missing(part, missing)
+        scale = 0.5 if are_flags else 1.0
+        positions[block], confidence[block] = _mark_missing(x, y, scale * score, counts)
         mapped.let_go()
+    bare = counts[_NO_SCORE]
+    if bare:
+        some = f"{bare} points without a score (labelled by hand?) count fully"
+        remarks = (*remarks, some if np.isfinite(third).any() else NO_SCORE)
     return Keypoints2D(
         camera=origin.camera,
-        keypoints=unique_names(tuple(names), origin.source),
+        keypoints=tuple(names),
         frames=numbers[order],
         positions=positions,
         confidence=confidence,
         tracked=tracked,
         image_size=image_size,
         source=origin.source,
-        missing={name: missing[name] for name in _MISSING if missing[name]},
+        missing={name: counts[name] for name in _MISSING if counts[name]},
         remarks=remarks,
     )
 
 
-def _frame_order(frames: Ints, names: Sequence[object], source: str) -> Ints:
-    """Return `[frame]` indices that sort `[frame]` frame numbers.
-
-    names: `[frame]` what messages call the frames.
-
-    Raises FormatError where a number occurs twice.
-    """
+def _frame_order(frames: Ints, row_name: Callable[[int], object], source: str) -> Ints:
+    """Return `[frame]` indices that sort frame numbers. Raises FormatError where one is twice."""
     order = np.argsort(frames, kind="stable")
     twice = np.flatnonzero(np.diff(frames[order]) == 0)
     if twice.size:
-        first, second = order[twice[0]], order[twice[0] + 1]
-        places = f"{one_line(names[first], 60)} and {one_line(names[second], 60)}"
+        first, second = order[twice[0] : twice[0] + 2].tolist()
+        places = " and ".join(one_line(row_name(row), 60) for row in (first, second))
         found = f"frame {frames[first]} twice, at {places}"
         which = f"or say which part of a name is the camera with {argument('camera_regex')}"
         remedy = f"give one file per camera and recording, {which}"
@@ -249,33 +213,38 @@ def _frame_order(frames: Ints, names: Sequence[object], source: str) -> Ints:
     return order
 
 
-def _mark_missing(values: Floats, counts: Counter[str]) -> tuple[Floats, Floats]:
+def _mark_missing(
+    x: Floats, y: Floats, score: Floats, counts: Counter[str]
+) -> tuple[Floats, Floats]:
     """Return positions with NaN and confidences with 0 where a point is missing; count these.
 
-    values: `[frame, instance, keypoint, 3]`. counts: how many points each mark says are missing,
-    which is added to; of several marks the first counts.
+    x, y, score: `[frame, instance, keypoint]`. counts: how many points each mark says are missing,
+    and how many have no score, which is added to; of several marks the first counts.
 
     The marks are (0, 0) (OpenPose, COCO), (-1, -1) (DeepLabCut 3), not a number (counted in
     detections that have any point), and a confidence of 0 or below.
     """
-    x, y, confidence = values[..., 0], values[..., 1], values[..., 2]
+    positions = np.stack([x, y], axis=-1)
+    is_there = np.isfinite(positions).all(-1)
+    bare = is_there & np.isnan(score)
+    score[bare] = 1.0
     marks = (
         (x == 0) & (y == 0),
         (x == -1) & (y == -1),
-        ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(confidence)),
-        confidence <= 0,
+        ~(is_there & np.isfinite(score)),
+        score <= 0,
     )
-    missing = np.logical_or.reduce(marks)
-    counted = np.zeros_like(missing)
-    for name, marked in zip(_MISSING, marks, strict=True):
-        if marked.any():
-            added = marked & ~counted
-            if name == "empty or NaN":
-                added &= ~missing.all(-1, keepdims=True)
-            counts[name] += int(added.sum())
-            counted |= marked
-    positions = np.where(missing[..., None], np.nan, values[..., :2])
-    return positions, np.where(missing, 0.0, confidence)
+    missing = marks[0] | marks[1] | marks[2] | marks[3]
+    counts[_NO_SCORE] += int(np.count_nonzero(bare & ~missing))
+    if missing.any():
+        is_detected = ~missing.all(-1, keepdims=True)
+        left = np.ones_like(missing)
+        for name, marked in zip(_MISSING, marks, strict=True):
+            counted = marked & left & is_detected if name == "empty or NaN" else marked & left
+            counts[name] += int(np.count_nonzero(counted))
+            left &= ~marked
+        positions[missing], score[missing] = np.nan, 0.0
+    return positions, score
 
 
 def blank(frames: int, instances: int, keypoints: int, source: str) -> Floats:
@@ -298,48 +267,49 @@ def check_size(frames: int, instances: int, keypoints: int, source: str) -> None
         raise FormatError(source, expected, found, "check its individuals, or split it")
 
 
-def stack_detections(detections: Sequence[Sequence[Any]], keypoints: int, source: str) -> Floats:
-    """Stack the detections of frames: `[frame, instance, keypoint, 3]`, NaN where there are fewer.
+def view_of_frames(
+    document: Document,
+    options: ReadOptions,
+    frames: Sequence[int] | Ints,
+    detections: Sequence[Sequence[Any]],
+    *,
+    names: Sequence[str] = (),
+    unambiguous: tuple[str, ...] = (),
+    **further: Any,
+) -> Keypoints2D:
+    """Return the camera of detections, which are individuals or in any order.
 
-    detections: of each frame, each `[keypoint, 3]`, or empty for one without a point.
+    frames: `[frame]` numbers.
+    detections: of each frame, each `[keypoint, 3]` x, y and score, or empty for one without a
+        point.
+    names: `[keypoint]`, where the file has them; else those of a layout, of the options or one of
+        the `unambiguous`, see `choose_layout`.
+    further: see `make_view`.
 
-    Raises FormatError where a detection has another number of keypoints.
+    Raises FormatError where there is no point, or a detection has another number of keypoints.
     """
-    values = blank(len(detections), max(map(len, detections), default=0), keypoints, source)
-    for row, found in zip(values, detections, strict=True):
-        for target, points in zip(row, found, strict=False):
-            if len(points) not in (0, keypoints):
-                expected = f"{keypoints} keypoints in every detection"
+    source = document.source
+    if not names:
+        count = max((len(points) for found in detections for points in found), default=0)
+        if count == 0:
+            found, remedy = f"none in {len(detections)} frames", "check the detector's output"
+            raise document.refuse("detections in one of its frames", found, remedy)
+        names = choose_layout(count, options.layout, source, unambiguous)
+    values = blank(len(detections), max(map(len, detections), default=0), len(names), source)
+    for row, each in zip(values, detections, strict=True):
+        for target, points in zip(row, each, strict=False):
+            if len(points) not in (0, len(names)):
+                expected = f"{len(names)} keypoints in every detection"
                 remedy = "keep the detections of one model"
-                raise FormatError(source, expected, f"{len(points)} in one", remedy)
+                raise document.refuse(expected, f"{len(points)} in one", remedy)
             if len(points):
                 target[:] = points
-    return values
-
-
-def visibility_as_confidence(third: Floats) -> Floats:
-    """Return COCO's flags `[...]` (0 not labelled, 1 occluded, 2 visible) as 0, 0.5, 1.
-
-    Anything else is a confidence already.
-    """
-    known = third[third >= 0]
-    are_flags = bool(np.isin(known, (0, 1, 2)).all() and (known == 2).any())
-    return third / 2 if are_flags else third
+    return make_view(document.origin, names, frames, values, **further)
 
 
 def fill_missing_scores(values: Floats) -> tuple[Floats, tuple[str, ...]]:
-    """Give score 1 to points without one, as labelled by hand; return also a remark of them.
-
-    values: `[..., 3]` x, y, score.
-    """
-    bare = np.isfinite(values[..., :2]).all(-1) & np.isnan(values[..., 2])
-    if not bare.any():
-        return values, ()
-    remark = NO_SCORE
-    if np.isfinite(values[..., 2]).any():
-        remark = f"{int(bare.sum())} points without a score (labelled by hand?) count fully"
-    score = np.where(bare, 1.0, values[..., 2])
-    return np.concatenate([values[..., :2], score[..., None]], axis=-1), (remark,)
+    """Return the values as they are: `make_view` fills scores."""
+    return values, ()
 
 
 # --- what a format may have no place for
@@ -354,15 +324,15 @@ def _follow_in_some_cameras(views: Views) -> bool:
 
 
 def _have_sizes(views: Views) -> bool:
-    return any(view.image_size != (0, 0) for view in views)
-
-
-def _have_gaps(views: Views) -> bool:
-    return any(len(view.frames) <= view.frames.max(initial=-1) for view in views)
+    return any(any(view.image_size) for view in views)
 
 
 def _lack_scores(views: Views) -> bool:
     return any(NO_SCORE in view.remarks for view in views)
+
+
+def _have_gaps(views: Views) -> bool:
+    return any(len(view.frames) <= view.frames.max(initial=-1) for view in views)
 
 
 NAMES = Loss("the names of keypoints", bool)

@@ -18,7 +18,6 @@ from mocap_calib.io.document import Document, as_document
 from mocap_calib.io.format import Format, Written, find_format, require_format, sniff
 from mocap_calib.io.formats import (
     coco,
-    coco_results,
     dannce,
     deeplabcut,
     deeplabcut_h5,
@@ -27,7 +26,6 @@ from mocap_calib.io.formats import (
     nwb,
     openpose,
     sleap,
-    sleap_slp,
     tables,
     ultralytics,
 )
@@ -43,11 +41,11 @@ KEYPOINT_FORMATS = (
     mmpose.IMAGES,
     mmpose.VIDEO,
     deeplabcut.SUPERANIMAL,
-    coco_results.RESULTS,
-    coco_results.ALPHAPOSE,
+    coco.RESULTS,
+    coco.ALPHAPOSE,
     deeplabcut_h5.HDF5,
     sleap.ANALYSIS,
-    sleap_slp.PROJECT,
+    sleap.PROJECT,
     movement.KEYPOINTS,
     nwb.KEYPOINTS,
     dannce.KEYPOINTS,

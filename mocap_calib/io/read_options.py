@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import resources
 
 import numpy as np
 
 from mocap_calib.config import LARGEST_SHARE, LEAST_SHARE
-from mocap_calib.errors import MismatchError, argument
+from mocap_calib.errors import FormatError, MismatchError, argument, one_line, suggest
 from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.recording.names import compose_name
 from mocap_calib.types import Keypoints2D
@@ -124,3 +126,58 @@ def _apply_offset(view: Keypoints2D, frames: int, pixels: tuple[float, float]) -
         found, remedy = f"{first} after the offset", f"change {argument('frame_offset')}"
         raise MismatchError(view.source, "frame numbers from 0 on", found, remedy)
     return replace(view, frames=view.frames + frames, positions=view.positions + np.array(pixels))
+
+
+# --- layouts
+
+
+@cache
+def layouts() -> dict[str, tuple[str, ...]]:
+    """Return the names of keypoints in the orders in which programs write them, by layout."""
+    import tomllib  # noqa: PLC0415 - most files name their keypoints
+
+    text = (resources.files("mocap_calib") / "io" / "layouts.toml").read_text("utf-8")
+    return {name: tuple(names.split()) for name, names in tomllib.loads(text).items()}
+
+
+def parse_layout(text: str) -> tuple[str, ...]:
+    """Return the names of a layout, or names separated by commas. Raises MismatchError."""
+    if text in layouts():
+        return layouts()[text]
+    names = tuple(name.strip() for name in text.split(","))
+    if len(names) < 2 or not all(names):
+        known = f"a layout ({', '.join(layouts())})"
+        expected = f"{known} or names of keypoints separated by commas"
+        raise MismatchError("", expected, one_line(text, 200), suggest(text, layouts()))
+    return names
+
+
+def choose_layout(
+    count: int, given: Sequence[str], source: str, unambiguous: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """Return the names of `count` keypoints.
+
+    given: the names that the user or the file gives; they are taken where there are any.
+    unambiguous: layouts that are the program's only ones of their length; else the one of these
+        that has as many names is taken.
+
+    Two layouts of one length differ in their order: which one it is, is never guessed.
+    Raises FormatError.
+    """
+    if given and len(given) != count:
+        expected = f"{len(given)} keypoints, as many as the layout has"
+        remedy = f"give {argument('layout')} with as many names as the file has keypoints"
+        raise FormatError(source, expected, count, remedy)
+    fitting = [layouts()[name] for name in unambiguous if len(layouts()[name]) == count]
+    if not given and len(fitting) != 1:
+        expected, remedy = f"the names of its {count} keypoints", layout_remedy([count])
+        raise FormatError(source, expected, "numbers alone", remedy)
+    return tuple(given) or fitting[0]
+
+
+def layout_remedy(counts: Sequence[float]) -> str:
+    """Return what to do about a file that needs a layout of one of these lengths."""
+    fitting = [name for name, names in layouts().items() if len(names) in counts]
+    if fitting:
+        return f"give {argument('layout')} ({' or '.join(fitting)})"
+    return f"give {argument('layout')} with names separated by commas"

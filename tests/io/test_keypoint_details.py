@@ -190,7 +190,7 @@ COCO = {
     "missing at (-1, -1)": first_point(-1, -1, -1),
     "missing at NaN": first_point(NAN, 3, 0.5),
     "missing at null": first_point(4, None, 1),
-    "a score that is none": first_point(4, 3, NAN),
+    "a score that is none": first_point(4, 3, NAN, expected=(4, 3)),
     "on an edge": first_point(0, 7, 1, expected=(0, 7)),
     "visibilities": third_numbers((0, 1, 2), (0, 0.5, 1)),
     "visibilities or scores": third_numbers((0, 1, 1), (0, 1, 1)),

@@ -1,16 +1,23 @@
-"""Read and write COCO keypoint annotations: `images`, `annotations`, `categories` in one JSON file.
+"""Read and write COCO keypoint annotations; read COCO results, and AlphaPose's.
 
-Traps: the third number of a point is a visibility (0, 1, 2) or, as many programs write it, a
-score; some writers quote ids; categories without keypoints (boxes) may lie beside. Frame numbers
-stand in the file names, in a field of the images, or nowhere; one file may hold several cameras,
-told by a field or by the folders of the file names; Roboflow adds to the file names.
+Annotations are `images`, `annotations`, `categories` in one JSON file. Traps: the third number of a
+point is a visibility (0, 1, 2) or, as many programs write it, a score; some writers quote ids;
+categories without keypoints (boxes) may lie beside. Frame numbers stand in the file names, in a
+field of the images, or nowhere; one file may hold several cameras, told by a field or by the
+folders of the file names; Roboflow adds to the file names.
 
-Written is a file per camera with a line per annotation; the confidence of a point stands in the
-place of COCO's visibility, as the reader takes it.
+Results are flat lists of detections. COCO calls an image by a number, AlphaPose by a file name.
+Traps: frames without a detection are absent; names of keypoints are absent; one list may hold
+several cameras, which only the images tell apart.
+
+Written are annotations, a file per camera with a line per annotation; the confidence of a point
+stands in the place of COCO's visibility, as the reader takes it.
 """
 
 import json
 import re
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -18,26 +25,27 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, argument
 from mocap_calib.io.detections import (
+    ABSENT_FRAMES,
     FOLLOWED,
     SCORES,
-    blank,
     cameras_by_pattern,
     frame_number,
-    make_view,
-    unique_names,
-    visibility_as_confidence,
+    frame_numbers,
+    is_list_of,
+    triples,
+    view_of_frames,
 )
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format
 from mocap_calib.io.read_options import ReadOptions
-from mocap_calib.types import Bools, Ints, Keypoints2D
+from mocap_calib.types import Bools, Floats, Keypoints2D
 
 _LISTS = {"images", "annotations", "categories"}
 _EXPECTED = "COCO annotations (an object with the lists `images`, `annotations` and `categories`)"
 _CAMERA_FIELDS = ("camera", "cam_id", "camera_id", "cam")
 _ROBOFLOW = re.compile(r"(_(?:png|jpe?g|bmp))?\.rf\.[0-9a-f]{8,}(?=\.\w+$)")  # what it adds
-_MISSING_NUMBER = -1
+# AlphaPose's only layouts of their length
+_ALPHAPOSE_LAYOUTS = ("halpe_26", "halpe_136", "coco_wholebody_133")
 _LOSSLESS = (9, 9)  # decimals of positions and confidences, to the last digit that matters
 
 Id = int | float | str | None
@@ -80,6 +88,14 @@ class _File(msgspec.Struct):
     categories: list[_Category]
 
 
+class _Result(msgspec.Struct):
+    image_id: int | str
+    keypoints: list[float | None] | None = None
+
+
+# --- annotations
+
+
 def sniff(document: Document) -> bool:
     """Return whether the file is a JSON object with one of COCO's lists."""
     return isinstance(document.json, dict) and bool(_LISTS & document.json.keys())
@@ -105,66 +121,34 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         found = f"{len(lists)} different lists" if lists else "none"
         remedy = "keep the category of one kind of subject"
         raise document.refuse("one list of keypoint names in `categories`", found, remedy)
-    keypoints = unique_names(lists.pop(), document.source)
+    (keypoints,) = lists
     categories = {"None", *(str(category.id) for category in named)}
-    annotations = [each for each in file.annotations if str(each.category_id) in categories]
-    _check(file.images, annotations, 3 * len(keypoints), document)
-    by_camera = _images_by_camera(file.images, document, options)
-    return tuple(
-        _view(Origin(camera, document.source), images, annotations, keypoints)
-        for camera, images in by_camera.items()
-    )
-
-
-def _check(
-    images: list[_Image], annotations: list[_Annotation], numbers: int, document: Document
-) -> None:
-    """Raise FormatError for ids that repeat or are not there, and for another count of numbers."""
-    ids = {str(image.id) for image in images}
-    if len(ids) < len(images):
-        found = f"{len(images)} images with {len(ids)} ids"
+    points_of: dict[str, list[Floats]] = {str(image.id): [] for image in file.images}
+    if len(points_of) < len(file.images):
+        found = f"{len(file.images)} images with {len(points_of)} ids"
         raise document.refuse("each image id once", found)
-    for annotation in annotations:
-        if str(annotation.image_id) not in ids:
-            expected = "each annotation's image_id among `images`"
-            remedy = "export images and annotations together"
-            raise document.refuse(expected, annotation.image_id, remedy)
-        found_numbers = len(annotation.keypoints or ())
-        if found_numbers not in (0, numbers):
-            expected = f"{numbers} numbers (x, y, v) per annotation for {numbers // 3} names"
-            raise document.refuse(expected, f"{found_numbers} numbers")
-
-
-def _view(
-    origin: Origin,
-    images: list[_Image],
-    annotations: list[_Annotation],
-    keypoints: tuple[str, ...],
-) -> Keypoints2D:
-    """Return the detections of one camera, whose images these are. Raises FormatError."""
-    frame_of = {str(image.id): frame for frame, image in enumerate(images)}
-    points: list[list[list[float | None]]] = [[] for _ in images]
-    for annotation in annotations:
-        if str(annotation.image_id) in frame_of:
-            points[frame_of[str(annotation.image_id)]].append(annotation.keypoints or [])
-    values = blank(len(images), max(map(len, points)), len(keypoints), origin.source)
-    for values_of_frame, points_of_frame in zip(values, points, strict=True):
-        for target, numbers in zip(values_of_frame, points_of_frame, strict=False):
-            if numbers:
-                target[:] = np.array(numbers, dtype=np.float64).reshape(-1, 3)
-    values[..., 2] = visibility_as_confidence(values[..., 2])
-    return make_view(
-        origin,
-        keypoints,
-        _frame_numbers(images, origin.source),
-        values,
-        tracked=False,
-        image_size=_image_size(images, origin.source),
-        rows=[image.file_name or image.id for image in images],
-    )
-
-
-# --- images
+    for annotation in file.annotations:
+        if str(annotation.category_id) in categories:
+            if str(annotation.image_id) not in points_of:
+                expected = "each annotation's image_id among `images`"
+                remedy = "export images and annotations together"
+                raise document.refuse(expected, annotation.image_id, remedy)
+            points = triples(annotation.keypoints, document.source, "keypoints")
+            points_of[str(annotation.image_id)].append(points)
+    views = []
+    for camera, images in _images_by_camera(file.images, document, options).items():
+        labels = [image.file_name or image.id for image in images]
+        view = view_of_frames(
+            replace(document, camera=camera),
+            options,
+            _frame_numbers(images, document.source),
+            [points_of[str(image.id)] for image in images],
+            names=keypoints,
+            image_size=_image_size(images, document.source),
+            row_name=labels.__getitem__,
+        )
+        views.append(view)
+    return tuple(views)
 
 
 def _images_by_camera(
@@ -199,13 +183,13 @@ def _cameras_by_folder(names: list[str], document: Document) -> list[str]:
     where there is one folder, or where the user has named the camera and the numbers do not
     contradict. Raises FormatError.
     """
-    folders = [re.split(r"[/\\]", name)[:-1] for name in names]
+    folders = [tuple(re.split(r"[/\\]", name)[:-1]) for name in names]
     numbers = [frame_number(name) for name in names]
     numbers_differ = len(set(numbers)) == len(numbers)
-    if len(set(map(tuple, folders))) == 1 or (document.named and numbers_differ):
+    if len(set(folders)) == 1 or (document.named and numbers_differ):
         return []
     same_depth = len(set(map(len, folders))) == 1
-    levels = [list(level) for level in zip(*folders, strict=True)] if same_depth else []
+    levels = map(list, zip(*folders, strict=True)) if same_depth else ()
     parts = [level for level in levels if len(set(level)) > 1]
     if len(parts) > 1 and not numbers_differ:
         parts = [part for part in parts if len({*zip(part, numbers, strict=True)}) == len(names)]
@@ -217,7 +201,7 @@ def _cameras_by_folder(names: list[str], document: Document) -> list[str]:
     raise document.refuse("folders that tell the cameras", f"{names[0]} and {other}", remedy)
 
 
-def _frame_numbers(images: list[_Image], source: str) -> Ints:
+def _frame_numbers(images: list[_Image], source: str) -> list[int]:
     """Return the `[image]` frame numbers. Raises FormatError.
 
     They all come from the first place where every image has a number of its own, else from the
@@ -229,19 +213,21 @@ def _frame_numbers(images: list[_Image], source: str) -> Ints:
     """
     places = [
         [frame_number(image.name) for image in images],
-        [_whole_number(image.frame) for image in images],
-        [_whole_number(image.frame_id) for image in images],
+        *(
+            [_whole_number(getattr(image, key)) for image in images]
+            for key in ("frame", "frame_id")
+        ),
         [_first_integer(image.name) for image in images],
     ]
     if not any(min(numbers) >= 0 and len(set(numbers)) > 1 for numbers in places):
         places.append([_whole_number(image.id) for image in images])
     complete = [numbers for numbers in places if min(numbers) >= 0]
     if not complete:
-        image = images[places[-1].index(min(places[-1]))]
+        image = images[places[-1].index(-1)]
         expected, remedy = "a frame number at the end of each file name", "add a field `frame`"
         raise FormatError(source, expected, image.file_name or image.id, f"{remedy} to each image")
     unique = (numbers for numbers in complete if len(set(numbers)) == len(numbers))
-    return np.array(next(unique, complete[0]), dtype=np.int64)
+    return next(unique, complete[0])
 
 
 def _first_integer(name: str) -> int:
@@ -250,15 +236,15 @@ def _first_integer(name: str) -> int:
     Its folders and its suffix do not count: `a7/000012_cam1.jpg` -> 12.
     """
     file_name = re.split(r"[/\\]", name.strip())[-1]
-    digits = re.search(r"[0-9]+", re.sub(r"\.[A-Za-z]\w*$", "", file_name))
-    return _whole_number(digits[0]) if digits else _MISSING_NUMBER
+    return _whole_number(
+        next(iter(re.findall("[0-9]+", re.sub(r"\.[A-Za-z]\w*$", "", file_name))), "")
+    )
 
 
 def _whole_number(value: object) -> int:
     """Return a whole number that may be quoted; -1 for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | str):
-        return _MISSING_NUMBER
-    return int(value) if re.fullmatch(r"[0-9]{1,18}", str(value)) else _MISSING_NUMBER
+    is_number = isinstance(value, int | str) and re.fullmatch("[0-9]{1,18}", str(value))
+    return int(str(value)) if is_number else -1
 
 
 def _image_size(images: list[_Image], source: str) -> tuple[int, int]:
@@ -272,9 +258,6 @@ def _image_size(images: list[_Image], source: str) -> tuple[int, int]:
         raise FormatError(source, "images of one size", found, "give one file per camera")
     width, height = sizes.pop() if sizes else (0, 0)
     return int(width), int(height)
-
-
-# --- writing
 
 
 def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
@@ -296,12 +279,15 @@ def format_coco(view: Keypoints2D, *, decimals: tuple[int, int] = (1, 2)) -> str
     pixels = np.where(seen[..., None], view.positions, 0.0).astype(np.float64).round(decimals[0])
     third = confidence.astype(np.float64).round(decimals[1])[..., None]
     points = np.concatenate([pixels, third], axis=-1)
-    any_seen: Bools = np.asarray(seen.any(-1))
-    there = np.logical_or.accumulate(any_seen[:, ::-1], axis=1)[:, ::-1]  # or further back
     width, height = view.image_size
     images = [
         {"id": n, "file_name": f"frame_{n:06d}.jpg", "width": width, "height": height}
         for n in view.frames.tolist()
+    ]
+    there = [
+        (frame, instance)
+        for frame, found in enumerate(np.asarray(seen.any(-1)))
+        for instance in range(len(np.trim_zeros(found, "b")))
     ]
     annotations = [
         {
@@ -315,7 +301,7 @@ def format_coco(view: Keypoints2D, *, decimals: tuple[int, int] = (1, 2)) -> str
                 for value in points[frame, instance].ravel().tolist()
             ],
         }
-        for number, (frame, instance) in enumerate(np.argwhere(there), start=1)
+        for number, (frame, instance) in enumerate(there, start=1)
     ]
     info = {"description": f"mocap-calib keypoints of {view.camera}"}
     category = {"id": 1, "name": "person", "keypoints": list(view.keypoints)}
@@ -328,7 +314,7 @@ def format_coco(view: Keypoints2D, *, decimals: tuple[int, int] = (1, 2)) -> str
     return "{" + ",\n".join(lists) + "}\n"
 
 
-def _one_per_line(entries: list[dict[str, Any]]) -> str:
+def _one_per_line(entries: Iterable[dict[str, Any]]) -> str:
     return "[\n" + ",\n".join(map(_compact, entries)) + "\n]"
 
 
@@ -345,4 +331,76 @@ ANNOTATIONS = Format(
     write=write,
     endings=(".json",),
     loses=(FOLLOWED, SCORES),
+)
+
+
+# --- results
+
+
+def sniff_results(document: Document) -> bool:
+    """Return whether this is a list of detections in numbered images, without AlphaPose's keys."""
+    return sniff_alphapose(document) and all(
+        str(entry["image_id"]).isdigit() and not {"box", "idx"} & entry.keys()
+        for entry in document.json[:20]
+    )
+
+
+def sniff_alphapose(document: Document) -> bool:
+    """Return whether this is a list of detections."""
+    return is_list_of(document.json, "image_id", "keypoints")
+
+
+def read_alphapose(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Read the cameras of an AlphaPose file. Raises FormatError."""
+    return read_results(document, options, unambiguous=_ALPHAPOSE_LAYOUTS)
+
+
+def read_results(
+    document: Document, options: ReadOptions, unambiguous: tuple[str, ...] = ()
+) -> tuple[Keypoints2D, ...]:
+    """Read the cameras of COCO results, as the user's pattern finds them in the image ids.
+
+    Frames are the image ids, or what the pattern's group `frame` finds in them. All are of the
+    file's camera where there is no pattern. Raises FormatError.
+    """
+    entries, pattern = document.records(list[_Result]), options.camera_pattern
+    images = [str(entry.image_id) for entry in entries]
+    cameras = cameras_by_pattern(images, pattern, named="image_id", source=document.source)
+    detections_of: dict[str, dict[str, list[Floats]]] = {}
+    for k, camera in enumerate(cameras or [document.camera] * len(entries)):
+        points = triples(entries[k].keypoints, f"{document.source}: entry {k}", "keypoints")
+        detections_of.setdefault(camera, {}).setdefault(images[k], []).append(points)
+    return tuple(
+        view_of_frames(
+            replace(document, camera=camera),
+            options,
+            frame_numbers([_frame_text(image, pattern) for image in by_image], document.source),
+            list(by_image.values()),
+            unambiguous=unambiguous,
+            row_name=list(by_image).__getitem__,
+            remarks=(ABSENT_FRAMES,),
+        )
+        for camera, by_image in detections_of.items()
+    )
+
+
+def _frame_text(image: str, pattern: str) -> str:
+    """Return what the pattern's group `frame` finds in an image; the image where it finds none."""
+    found = re.search(pattern, image) if "(?P<frame>" in pattern else None
+    return str(found["frame"]) if found else image
+
+
+RESULTS = Format(
+    kind="keypoints",
+    name="coco-results",
+    title="COCO results .json",
+    sniff=sniff_results,
+    read=read_results,
+)
+ALPHAPOSE = Format(
+    kind="keypoints",
+    name="alphapose",
+    title="AlphaPose .json",
+    sniff=sniff_alphapose,
+    read=read_alphapose,
 )

@@ -32,8 +32,7 @@ from mocap_calib.io.detections import NO_SCORE, blank, make_view
 from mocap_calib.io.document import Document, need
 from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format, Written
-from mocap_calib.io.layouts import choose_layout
-from mocap_calib.io.read_options import ReadOptions
+from mocap_calib.io.read_options import ReadOptions, choose_layout
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 _REMEDY = "save it from Label3D again, for MATLAB 7 (not 7.3)"
@@ -84,7 +83,7 @@ def _view(origin: Origin, label: Any, options: ReadOptions) -> Keypoints2D:
     frames, positions = _frames_and_positions(label, source)
     count = positions.shape[1]
     numbered = tuple(f"point_{k + 1}" for k in range(count))
-    names = choose_layout(count, given=options.layout or numbered, source=source)
+    names = choose_layout(count, options.layout or numbered, source)
     values = blank(len(frames), 1, count, source)
     values[:, 0, :, :2] = positions
     values[..., 2] = 1.0

@@ -19,7 +19,7 @@ in the list.
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -28,7 +28,6 @@ import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.detections import (
-    NO_SCORE,
     SCORES,
     SIZES,
     check_size,
@@ -46,14 +45,15 @@ from mocap_calib.types import Floats, Ints, Keypoints2D
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 LEVELS_OF_ONE = ("scorer", "bodyparts", "coords")  # of a table of one animal
-COORDS = ("x", "y", "likelihood")
-_NO_PART, _NO_LIKELIHOOD = -1, -2  # in the place of a column
+_COORDS = ("x", "y", "likelihood")
 _UNIQUE = "single"  # the pseudo-individual of unique body parts
 _AGAIN = "export it from DeepLabCut again"
 _SCORER = "mocap-calib"
 _FIRST_CELL = re.compile(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]')
 # what ensemble Kalman smoothers write beside the coordinates
 _SPREAD = re.compile(r"[xy]_(ens_median|ens_var|posterior_var|var)|zscore|nll|ensemble_std")
+
+Labels = tuple[str, ...]  # of a column, one per level
 
 
 @dataclass(frozen=True)
@@ -64,66 +64,55 @@ class LabelledTable:
     columns: each column's labels, one per level.
     rows: frame numbers or image paths, as text.
     values: `[row, column]`, NaN where a cell is empty.
-    lines: where the rows are in the file, as messages have it; empty where the file has no lines.
+    row_name: what messages call a row (an index).
     """
 
-    levels: tuple[str, ...]
-    columns: tuple[tuple[str, ...], ...]
+    levels: Labels
+    columns: Sequence[Labels]
     rows: Sequence[str]
     values: Floats
-    lines: Sequence[str] = ()
+    row_name: Callable[[int], str]
 
 
 def view_of_table(table: LabelledTable, origin: Origin) -> Keypoints2D:
     """Return the detections of a table: one instance per individual, in the order of the columns.
 
     The pseudo-individual `single` is left out when it shares no body part with the others.
-    Without likelihood the confidence is 1. Raises FormatError.
+    Raises FormatError.
     """
-    source = origin.source
-    columns = _columns_by_label(table, source)
+    columns = _columns_by_label(table, origin.source)
     names = list(dict.fromkeys(name for name, _ in columns))
     others = {part for name, part in columns if name != _UNIQUE}
     unique = {part for name, part in columns if name == _UNIQUE}
-    remarks = []
+    remarks: tuple[str, ...] = ()
     if unique and others and not unique & others:
         names.remove(_UNIQUE)
         left_out = ", ".join(sorted(unique))
-        remarks.append(f"unique body parts belong to no individual and are left out: {left_out}")
-    parts = tuple(dict.fromkeys(part for name, part in columns if name in names))
-    places = np.full((len(names), len(parts), len(COORDS)), _NO_PART)
-    for (name, part), column_of in columns.items():
-        if name in names:
-            found = [column_of.get(coord, _NO_LIKELIHOOD) for coord in COORDS]
-            places[names.index(name), parts.index(part)] = found
-    if not any("likelihood" in column_of for column_of in columns.values()):
-        remarks.append(NO_SCORE)
-    check_size(len(table.rows), len(names), len(parts), source)
+        remarks = (f"unique body parts belong to no individual and are left out: {left_out}",)
+    parts = list(dict.fromkeys(part for name, part in columns if name in names))
+    check_size(len(table.rows), len(names), len(parts), origin.source)
+    places = np.array(
+        [
+            [columns.get((name, part), {}).get(coord, -1) for coord in _COORDS]
+            for name in names
+            for part in parts
+        ]
+    ).ravel()
+    values = table.values
+    if not np.array_equal(places, np.arange(values.shape[1])):
+        values = values[:, places]
+        values[:, places < 0] = np.nan
     # SuperAnimal's, whom no one follows
     in_any_order = len(names) > 1 and all(re.fullmatch(r"animal[0-9]+", name) for name in names)
     return make_view(
         origin,
         parts,
-        _frame_numbers(table.rows, source),
-        _select(table.values, places),
+        _frame_numbers(table.rows, origin.source),
+        values.reshape(len(values), len(names), len(parts), len(_COORDS)),
         tracked=not in_any_order,
-        rows=table.lines or table.rows,
-        remarks=tuple(remarks),
+        row_name=table.row_name,
+        remarks=remarks,
     )
-
-
-def _select(values: Floats, places: Ints) -> Floats:
-    """Return the `[row, individual, part, 3]` points in the `[row, column]` values of a table.
-
-    places: `[individual, part, 3]` column; `_NO_PART` and `_NO_LIKELIHOOD` where there is none.
-    """
-    shape = (len(values), *places.shape)
-    if np.array_equal(places.ravel(), np.arange(values.shape[1])):
-        return values.reshape(shape)  # without a copy
-    points = values[:, places.ravel()].reshape(shape)
-    points[:, places == _NO_PART] = np.nan
-    points[:, places == _NO_LIKELIHOOD] = 1.0
-    return points
 
 
 def _columns_by_label(table: LabelledTable, source: str) -> dict[tuple[str, str], dict[str, int]]:
@@ -147,7 +136,7 @@ def _columns_by_label(table: LabelledTable, source: str) -> dict[tuple[str, str]
         expected, remedy = "2D keypoints (x, y, likelihood)", "give the 2D file of each camera"
         raise FormatError(source, expected, "3D ones (x, y, z)", remedy)
     all_have_positions = all({"x", "y"} <= column_of.keys() for column_of in columns.values())
-    if not columns or not all_have_positions or not coords <= set(COORDS):
+    if not columns or not all_have_positions or not coords <= set(_COORDS):
         expected = "columns x, y and perhaps likelihood for each body part"
         raise FormatError(source, expected, ", ".join(sorted(coords)) or "none", _AGAIN)
     return columns
@@ -167,6 +156,23 @@ def _frame_numbers(rows: Sequence[str], source: str) -> Ints:
         expected = "each row to begin with a frame number or a numbered image"
         raise FormatError(source, expected, rows[numbers.index(-1)], "correct the first column")
     return np.array(numbers, dtype=np.int64)
+
+
+def table_of_view(view: Keypoints2D) -> LabelledTable:
+    """Return the labelled columns of a camera."""
+    frames, instances, _ = view.confidence.shape
+    points = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
+    values = np.where(np.isfinite(points[..., :1]), points, np.nan).reshape(frames, -1)
+    individuals = [(f"individual{k + 1}",) for k in range(instances)] if instances > 1 else [()]
+    columns = [
+        (_SCORER, *individual, keypoint, coord)
+        for individual in individuals
+        for keypoint in view.keypoints
+        for coord in _COORDS
+    ]
+    levels = LEVELS if instances > 1 else LEVELS_OF_ONE
+    rows = list(map(str, view.frames))
+    return LabelledTable(levels, columns, rows, values, rows.__getitem__)
 
 
 # --- csv
@@ -198,53 +204,31 @@ def read_csv(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...
     # no one needs the scorers
     if any("" in row for level, row in zip(levels, labels, strict=True) if level != "scorer"):
         raise document.refuse("header rows of one length", "an empty cell among them", _AGAIN)
-    index, numbers = range(first), range(first, end)
-    table = read_table(document, texts=index, numbers=numbers, header_rows=len(header))
-    cells_of_row = list(zip(*map(table.text, index), strict=True))
+    index = range(first)
+    table = read_table(document, texts=index, numbers=range(first, end), header_rows=len(header))
     labelled = LabelledTable(
         levels=levels,
-        columns=tuple(zip(*labels, strict=True)),
-        rows=list(map("/".join, cells_of_row)),
+        columns=list(zip(*labels, strict=True)),
+        rows=list(map("/".join, zip(*map(table.text, index), strict=True))),
         values=table.numbers,
-        lines=[
-            f"row {line} ({cells[-1]})"
-            for line, cells in zip(table.lines, cells_of_row, strict=True)
-        ],
+        row_name=lambda row: f"row {table.lines[row]} ({table.text(first - 1)[row]})",
     )
     return (view_of_table(labelled, document.origin),)
 
 
 def write_csv(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
     """Write `<camera>.csv` with frame numbers and empty cells for missing points."""
-    return {f"{view.camera}.csv": _format_csv(view) for view in views}
+    return {f"{view.camera}.csv": _format_csv(table_of_view(view)) for view in views}
 
 
-def _format_csv(view: Keypoints2D) -> bytes:
-    table = table_of_view(view)
+def _format_csv(table: LabelledTable) -> bytes:
     cells = np.where(np.isnan(table.values), "", table.values.astype(str)).tolist()
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
+    content = io.StringIO(newline="")
+    writer = csv.writer(content, lineterminator="\n")
     labels = zip(*table.columns, strict=True)
     writer.writerows([level, *row] for level, row in zip(table.levels, labels, strict=True))
     writer.writerows([frame, *row] for frame, row in zip(table.rows, cells, strict=True))
-    return text.getvalue().encode()
-
-
-def table_of_view(view: Keypoints2D) -> LabelledTable:
-    """Return the labelled columns of a camera."""
-    frames, instances, keypoints = view.confidence.shape
-    seen = np.isfinite(view.positions[..., :1])
-    triples = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
-    values = np.where(seen, triples, np.nan).reshape(frames, instances * keypoints * 3)
-    individuals = [(f"individual{k + 1}",) for k in range(instances)] if instances > 1 else [()]
-    columns = tuple(
-        (_SCORER, *individual, keypoint, coord)
-        for individual in individuals
-        for keypoint in view.keypoints
-        for coord in COORDS
-    )
-    levels = LEVELS if instances > 1 else LEVELS_OF_ONE
-    return LabelledTable(levels, columns, list(map(str, view.frames)), values)
+    return content.getvalue().encode()
 
 
 CSV = Format(

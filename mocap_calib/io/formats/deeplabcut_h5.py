@@ -24,12 +24,13 @@ from mocap_calib.io.formats.deeplabcut import (
     LEVELS,
     LEVELS_OF_ONE,
     LabelledTable,
+    Labels,
     table_of_view,
     view_of_table,
 )
 from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters, text
 from mocap_calib.io.read_options import ReadOptions
-from mocap_calib.types import Floats, Keypoints2D
+from mocap_calib.types import Keypoints2D
 
 _CSV_INSTEAD = "use the .csv that DeepLabCut writes next to it"
 _DISTRUST = f"do not trust this file; {_CSV_INSTEAD}"
@@ -50,7 +51,7 @@ _GROUP = {
     "pandas_type": b"frame",
 }
 
-Labels = tuple[str, ...]  # of a column, one per level
+_Parts = tuple[Labels, list[Labels], list[str], list[Any]]  # of a table, with blocks of values
 
 
 def sniff(document: Document) -> bool:
@@ -64,77 +65,70 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     Raises FormatError.
     """
     with damage_refused(document.source, "a whole DeepLabCut .h5", _CSV_INSTEAD):
-        table = _read_table(document.hdf5, document)
+        table = _read_table(document)
     return (view_of_table(table, document.origin),)
 
 
-def _read_table(file: Any, document: Document) -> LabelledTable:
-    """Return the one pandas table of an open file. Raises FormatError."""
-    keys = [key for key, item in file.items() if "pandas_type" in item.attrs]
-    if not keys:
-        found, remedy = document.describe()[0], "export DeepLabCut .csv or COCO"
-        raise document.refuse("a pandas table as DeepLabCut writes it", found, remedy)
-    if len(keys) > 1:
-        found, remedy = f"{len(keys)}: {', '.join(keys)}", "keep one of them, or give its .csv"
-        raise document.refuse("one pandas table", found, remedy)
-    group = file[keys[0]]
+def _read_table(document: Document) -> LabelledTable:
+    """Return the one pandas table of a file. Raises FormatError."""
+    groups = [item for item in document.hdf5.values() if "pandas_type" in item.attrs]
+    if len(groups) > 1:
+        found = f"{len(groups)}: {', '.join(group.name[1:] for group in groups)}"
+        raise document.refuse("one pandas table", found, "keep one of them, or give its .csv")
+    (group,) = groups
     _check_pickles(group, document)
     require_filters(group, document.source, _CSV_INSTEAD)
-    kind = text(group.attrs["pandas_type"])
-    if kind == "frame_table":
-        return _from_table_layout(group, document)
-    if kind == "frame":
-        return _from_fixed_layout(group)
-    raise document.refuse("a pandas DataFrame", f"a {kind}", _CSV_INSTEAD)
+    layout = text(group.attrs["pandas_type"])
+    if layout not in ("frame_table", "frame"):
+        raise document.refuse("a pandas DataFrame", f"a {layout}", _CSV_INSTEAD)
+    parse = _read_table_layout if layout == "frame_table" else _read_fixed_layout
+    levels, columns, rows, blocks = parse(group, document)
+    values = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+    labelled = all(len(labels) == len(levels) for labels in columns)
+    if values.shape != (len(rows), len(columns)) or not labelled:
+        counted = f"{len(rows)} rows and {len(columns)} columns of {len(levels)} labels"
+        raise ValueError(f"{values.shape} values for {counted}")
+    values = values.astype(np.float64, copy=False)
+    return LabelledTable(levels, columns, rows, values, rows.__getitem__)
 
 
-def _from_table_layout(group: Any, document: Document) -> LabelledTable:
-    """Return the table of a group in the `table` layout. Raises FormatError."""
+def _read_table_layout(group: Any, document: Document) -> _Parts:
+    """Return levels, columns, rows and blocks of the `table` layout. Raises FormatError."""
     if "table" not in group:
         raise document.refuse("a table", "an aborted write without one", _CSV_INSTEAD)
     dataset = group["table"]
-    blocks = sorted(name for name in dataset.dtype.names if name.startswith("values_block_"))
-    if "index" not in dataset.dtype.names or not blocks:
-        found = ", ".join(dataset.dtype.names)
-        raise document.refuse("the columns index and values_block_0", found, _CSV_INSTEAD)
+    names = sorted(name for name in dataset.dtype.names if name.startswith("values_block_"))
     columns: list[Labels] = []
-    for name in blocks:
+    for name in names:
         labels_of_block = _unpickle(dataset.attrs[f"{name}_kind"], document)
         columns += [tuple(map(text, labels)) for labels in labels_of_block]
     content = dataset[...]
-    values = [content[name].reshape(len(content), -1).astype(np.float64) for name in blocks]
     levels: Labels = LEVELS if columns and len(columns[0]) == len(LEVELS) else LEVELS_OF_ONE
     if "info" in group.attrs:
         levels = tuple(map(text, _unpickle(group.attrs["info"], document)[1]["names"]))
-    rows = list(map(text, content["index"]))
-    return _make_table(levels, columns, rows, np.concatenate(values, axis=1))
+    blocks = [content[name].reshape(len(content), -1).astype(np.float64) for name in names]
+    return levels, columns, list(map(text, content["index"])), blocks
 
 
-def _from_fixed_layout(group: Any) -> LabelledTable:
-    """Return the table of a group in the `fixed` layout."""
+def _read_fixed_layout(group: Any, document: Document) -> _Parts:
+    """Return levels, columns, rows and blocks of the `fixed` layout.
+
+    pandas holds a block column by column, and PyTables usually transposes it.
+    """
     levels: Labels = ()
     columns: list[Labels] = []
     blocks: list[Any] = []
     while f"block{len(blocks)}_values" in group:
         levels, labels = _read_multi_index(group, f"block{len(blocks)}_items")
         columns += labels
-        blocks.append(_read_block(group[f"block{len(blocks)}_values"]))
+        block = group[f"block{len(blocks)}_values"]
+        if block.attrs.get("transposed"):
+            blocks.append(mapped.in_blocks(block.__getitem__, len(block)))
+        else:
+            blocks.append(block[...].T)
     if "axis1" in group:
-        rows = list(map(text, group["axis1"][...]))
-    else:
-        rows = ["/".join(labels) for labels in _read_multi_index(group, "axis1")[1]]
-    values = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
-    return _make_table(levels, columns, rows, values.astype(np.float64, copy=False))
-
-
-def _read_block(dataset: Any) -> Any:
-    """Return the `[row, column]` values of a block.
-
-    pandas holds a block column by column, and PyTables usually transposes it.
-    """
-    if dataset.attrs.get("transposed"):
-        return mapped.in_blocks(lambda rows: dataset[rows], len(dataset))
-    return dataset[...].T
+        return levels, columns, list(map(text, group["axis1"][...])), blocks
+    return levels, columns, list(map("/".join, _read_multi_index(group, "axis1")[1])), blocks
 
 
 def _read_multi_index(group: Any, name: str) -> tuple[Labels, list[Labels]]:
@@ -151,20 +145,6 @@ def _read_multi_index(group: Any, name: str) -> tuple[Labels, list[Labels]]:
         levels.append(text(level.attrs.get("name", "")))
         labels_by_level.append([known[code] for code in codes])
     return tuple(levels), list(zip(*labels_by_level, strict=True))
-
-
-def _make_table(
-    levels: Labels, columns: list[Labels], rows: list[str], values: Floats
-) -> LabelledTable:
-    """Return the table of `[row, column]` values. Raises ValueError where lengths do not agree."""
-    labelled = all(len(labels) == len(levels) for labels in columns)
-    if values.shape != (len(rows), len(columns)) or not labelled:
-        counted = f"{len(rows)} rows and {len(columns)} columns of {len(levels)} labels"
-        raise ValueError(f"{values.shape} values for {counted}")
-    return LabelledTable(levels, tuple(columns), rows, values)
-
-
-# --- pickles
 
 
 class _CallError(pickle.UnpicklingError):
@@ -214,9 +194,6 @@ def _check_pickles(group: Any, document: Document) -> None:
         if text(item.attrs.get("PSEUDOATOM", "")) == "object":
             found = f"pickled objects in `{item.name}`"
             raise document.refuse("arrays of text and numbers", found, _DISTRUST)
-
-
-# --- writing
 
 
 def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:

@@ -9,14 +9,13 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import msgspec
-import numpy as np
 
 from mocap_calib.io.detections import frames_of, is_list_of, view_of_frames
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.format import Format
 from mocap_calib.io.read_options import ReadOptions
-from mocap_calib.types import Floats, Keypoints2D
+from mocap_calib.types import Keypoints2D
 
 _LAYOUTS = ("coco_wholebody_133", "halpe_136")  # its only ones of their length
 
@@ -56,7 +55,14 @@ def read_images(document: Document, options: ReadOptions) -> tuple[Keypoints2D, 
     """Read one camera, whose files are its frames. Raises FormatError."""
     names, numbers = frames_of(document)
     detections = [_points(each.records(list[_Instance]), each) for each in document.documents()]
-    view = view_of_frames(document, options, numbers, detections, unambiguous=_LAYOUTS, rows=names)
+    view = view_of_frames(
+        document,
+        options,
+        numbers,
+        detections,
+        unambiguous=_LAYOUTS,
+        row_name=names.__getitem__,
+    )
     return (view,)
 
 
@@ -75,18 +81,16 @@ def read_video(document: Document, options: ReadOptions) -> tuple[Keypoints2D, .
     return (view_of_frames(document, options, frames, detections, unambiguous=_LAYOUTS),)
 
 
-def _points(instances: list[_Instance], document: Document) -> list[Floats]:
-    """Return `[keypoint, 3]` x, y, score of each instance. Raises FormatError."""
-    points = []
+def _points(instances: list[_Instance], document: Document) -> list[list[tuple[Any, ...]]]:
+    """Return x, y, score of each keypoint of each instance. Raises FormatError."""
     for each in instances:
-        positions, scores = np.array(each.keypoints, dtype=np.float64), each.keypoint_scores
-        if len(positions) != len(scores):
-            found = f"{len(positions)} with {len(scores)}"
+        if len(each.keypoints) != len(each.keypoint_scores):
+            found = f"{len(each.keypoints)} with {len(each.keypoint_scores)}"
             raise document.refuse("as many keypoint_scores as keypoints", found)
-        points.append(
-            np.column_stack([positions.reshape(-1, 2), np.array(scores, dtype=np.float64)])
-        )
-    return points
+    return [
+        [(*xy, score) for xy, score in zip(each.keypoints, each.keypoint_scores, strict=True)]
+        for each in instances
+    ]
 
 
 IMAGES = Format(

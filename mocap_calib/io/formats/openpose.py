@@ -18,14 +18,13 @@ from mocap_calib.io.detections import (
     SCORES,
     SIZES,
     frame_numbers,
-    frames_of,
     triples,
     view_of_frames,
 )
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
 from mocap_calib.io.read_options import ReadOptions
-from mocap_calib.types import Floats, Keypoints2D, Reals
+from mocap_calib.types import Bools, Floats, Keypoints2D
 
 # OpenPose's, or AlphaPose's, only layouts of their length
 _LAYOUTS = ("coco_18", "mpi_15", "body_135", "halpe_136", "coco_wholebody_133")
@@ -63,13 +62,19 @@ def _is_frame(content: Any) -> bool:
 def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the people of one camera. Raises FormatError."""
     if document.is_folder or _is_frame(document.json):
-        names, numbers = frames_of(document)
-        people = [_people(each.records(_Frame), each) for each in document.documents()]
+        frames = {each.path.name: (each.records(_Frame), each) for each in document.documents()}
     else:
-        frames = document.records(dict[str, _Frame])
-        names, numbers = list(frames), frame_numbers(list(frames), document.source)
-        people = [_people(frame, document) for frame in frames.values()]
-    view = view_of_frames(document, options, numbers, people, unambiguous=_LAYOUTS, rows=names)
+        by_image = document.records(dict[str, _Frame])
+        frames = {image: (frame, document) for image, frame in by_image.items()}
+    names = list(frames)
+    view = view_of_frames(
+        document,
+        options,
+        frame_numbers(names, document.source),
+        [_people(*frame) for frame in frames.values()],
+        unambiguous=_LAYOUTS,
+        row_name=names.__getitem__,
+    )
     return (view,)
 
 
@@ -79,12 +84,8 @@ def _people(frame: _Frame, document: Document) -> list[Floats]:
     if people is None:
         raise document.refuse("an object with a list `people`", "none")
     return [
-        triples(
-            person.pose_keypoints_2d or person.joints or [],
-            f"{document.source}: person {number}",
-            "pose_keypoints_2d",
-        )
-        for number, person in enumerate(people)
+        triples(person.pose_keypoints_2d or person.joints, document.source, "pose_keypoints_2d")
+        for person in people
     ]
 
 
@@ -98,25 +99,20 @@ def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
         if view.frames.max(initial=0) >= 10**_DIGITS:
             expected, remedy = f"frame numbers of at most {_DIGITS} digits", "choose another format"
             raise MismatchError(view.source, expected, view.frames.max(), remedy)
+        points = np.nan_to_num(np.concatenate([view.positions, view.confidence[..., None]], -1))
+        is_there: Bools = np.asarray(np.isfinite(view.positions[..., 0]).any(-1))
         for index, number in enumerate(view.frames):
             name = f"{view.camera}_json/{view.camera}_{number:0{_DIGITS}d}_keypoints.json"
-            seen = np.flatnonzero(np.isfinite(view.positions[index, ..., 0]).any(-1))
+            # a person without any point has no numbers, which keeps the place of the others
             people = [
-                _person(view.positions[index, instance], view.confidence[index, instance])
-                for instance in range(seen.max(initial=-1) + 1)
+                {
+                    "person_id": [-1],
+                    "pose_keypoints_2d": points[index, person].ravel().tolist() if there else [],
+                }
+                for person, there in enumerate(np.trim_zeros(is_there[index], "b"))
             ]
             files[name] = json.dumps({"version": _VERSION, "people": people}).encode()
     return files
-
-
-def _person(positions: Reals, confidence: Reals) -> dict[str, Any]:
-    """Return a person of `[keypoint, 2]` positions and `[keypoint]` confidences.
-
-    A person without any point has no numbers, which keeps the place of the others.
-    """
-    values = np.nan_to_num(np.column_stack([positions, confidence])).ravel().tolist()
-    is_there = np.isfinite(positions).any()
-    return {"person_id": [-1], "pose_keypoints_2d": values if is_there else []}
 
 
 FORMAT = Format(

@@ -13,7 +13,6 @@ import csv
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,10 +23,8 @@ from mocap_calib.io.detections import (
     SIZES,
     blank,
     check_cameras,
-    fill_missing_scores,
     frame_number,
     make_view,
-    unique_names,
 )
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import Origin
@@ -43,81 +40,59 @@ _KNOWN = ("camera", "frame", "individual", "instance", "keypoint", "x", "y", "sc
 # --- points
 
 
-@dataclass(frozen=True)
-class Points:
-    """The points of a table, a row each.
-
-    camera: `[row]` name.
-    frame: `[row]` text with the frame number.
-    identity: `[row]` the name of an individual, or the number of an instance.
-    keypoint: `[row]` name; an empty one states only that the frame is there.
-    values: `[row, 3]` x, y, score.
-    lines: `[row]` line numbers in the file.
-    """
-
-    camera: Sequence[str]
-    frame: Sequence[str]
-    identity: Sequence[str]
-    keypoint: Sequence[str]
-    values: Floats
-    lines: Sequence[int]
-
-
-def views_from_points(
-    points: Points, document: Document, *, tracked: bool, remarks: tuple[str, ...] = ()
+def views_of_points(
+    document: Document,
+    *,
+    camera: Sequence[str],
+    frame: Sequence[str],
+    identity: Sequence[str],
+    keypoint: Sequence[str],
+    values: Floats,
+    lines: Sequence[int],
+    tracked: bool,
+    remarks: tuple[str, ...] = (),
 ) -> tuple[Keypoints2D, ...]:
-    """Return the cameras of the table, in the order in which they appear.
+    """Return the cameras of a table with a row per point, in the order in which they appear.
 
-    tracked: `points.identity` names the same individual in all frames.
+    camera, keypoint: `[row]` names; an empty keypoint states only that the frame is there.
+    frame: `[row]` text with the frame number.
+    identity: `[row]` name of an individual (`tracked`), or number of an instance.
+    values: `[row, 3]` x, y, score. lines: `[row]` line numbers in the file.
 
     Raises FormatError.
     """
-    rows_of: dict[str, list[int]] = {}
-    for row, camera in enumerate(points.camera):
-        rows_of.setdefault(camera, []).append(row)
-    check_cameras(list(rows_of), document.source)
-    return tuple(
-        _view(points, rows, Origin(camera, document.source), tracked=tracked, remarks=remarks)
-        for camera, rows in rows_of.items()
-    )
+    source, cells = document.source, np.array([frame, identity, keypoint], dtype=object)
+    cameras, camera_of_row = _code(camera)
+    check_cameras(cameras, source)
+    views = []
+    for k, name in enumerate(cameras):
+        rows = np.flatnonzero(camera_of_row == k)
+        (texts, frames), (names, identities), (keypoints, places) = map(_code, cells[:, rows])
+        numbers, frame_of_text = np.unique(_frame_numbers(texts, source), return_inverse=True)
+        instance_of_text = _instances(names, tracked=tracked, source=source)
+        named = [text for text in keypoints if text]
+        rank = np.cumsum([bool(text) for text in keypoints]) - 1
+        is_point = np.array([bool(text) for text in keypoints])[places]
+        at = (frame_of_text[frames], instance_of_text[identities], rank[places])
+        at = tuple(each[is_point] for each in at)
+        points = blank(len(numbers), int(instance_of_text.max()) + 1, len(named), source)
+        flat, first = np.unique(np.ravel_multi_index(at, points.shape[:3]), return_inverse=True)
+        if len(flat) < len(first):
+            same = np.flatnonzero(first == np.argmax(np.bincount(first) > 1))
+            row = same[0]
+            which = f"frame {numbers[at[0][row]]}, individual {at[1][row]}, {named[at[2][row]]}"
+            some = ", ".join(str(lines[row]) for row in rows[is_point][same[:3]])
+            remedy = "remove the double rows, or tell individuals apart"
+            found = f"{which} {len(same)} times, in rows {some}"
+            raise FormatError(source, "each point once", found, remedy)
+        points[at] = values[rows[is_point]]
+        origin = Origin(name, source)
+        views.append(make_view(origin, named, numbers, points, tracked=tracked, remarks=remarks))
+    return tuple(views)
 
 
-def _view(
-    points: Points, rows: list[int], origin: Origin, *, tracked: bool, remarks: tuple[str, ...]
-) -> Keypoints2D:
-    """Return the camera of these rows (indices). Raises FormatError."""
-    source = origin.source
-    texts, frame = _code(points.frame, rows)
-    numbers, frame_of_text = np.unique(_frame_numbers(texts, source), return_inverse=True)
-    texts, identity = _code(points.identity, rows)
-    instance_of_text = _instances(texts, tracked=tracked, source=source)
-    texts, keypoint = _code(points.keypoint, rows)
-    names = unique_names([name for name in texts if name], source)
-    values = blank(len(numbers), int(instance_of_text.max()) + 1, len(names), source)
-    keypoint_of_text = np.array([names.index(text) if text else -1 for text in texts])
-    places = np.array(
-        [frame_of_text[frame], instance_of_text[identity], keypoint_of_text[keypoint]]
-    )
-    named = places[2] >= 0
-    places, selected = places[:, named], np.array(rows)[named]
-    flat = np.ravel_multi_index(tuple(places), values.shape[:3])
-    repeated, counts = np.unique(flat, return_counts=True)
-    if (counts > 1).any():
-        same = np.flatnonzero(flat == repeated[counts > 1][0])
-        index, instance, number = places[:, same[0]]
-        lines = ", ".join(str(points.lines[row]) for row in selected[same[:3]])
-        point = f"frame {numbers[index]}, individual {instance}, {names[number]}"
-        found = f"{point} {len(same)} times, in rows {lines}"
-        remedy = "remove the double rows, or tell individuals apart"
-        raise FormatError(source, "each point once", found, remedy)
-    values[tuple(places)] = points.values[selected]
-    values, added = fill_missing_scores(values)
-    return make_view(origin, names, numbers, values, tracked=tracked, remarks=remarks + added)
-
-
-def _code(column: Sequence[str], rows: list[int]) -> tuple[list[str], Ints]:
-    """Return the texts of rows in the order in which they appear, and `[row]` indices of them."""
-    texts = [column[row] for row in rows]
+def _code(texts: Sequence[str]) -> tuple[list[str], Ints]:
+    """Return the texts in the order in which they appear, and `[row]` indices of them."""
     code_of = {text: code for code, text in enumerate(dict.fromkeys(texts))}
     return list(code_of), np.array([code_of[text] for text in texts], dtype=np.int64)
 
@@ -185,15 +160,16 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     if "camera" in names and "" in cameras:
         remedy = "fill it, or remove the column"
         raise table.refuse(cameras.index(""), "the camera's name", "an empty cell", remedy)
-    points = Points(
+    return views_of_points(
+        document,
         camera=cameras,
         frame=table.text("frame"),
         identity=table.text(identity, "0"),
         keypoint=table.text("keypoint"),
         values=table.numbers,
         lines=table.lines,
+        tracked=identity == "individual",
     )
-    return views_from_points(points, document, tracked=identity == "individual")
 
 
 def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
@@ -207,15 +183,15 @@ def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["camera", "frame", identity, "keypoint", "x", "y", "score"])
     for view in views:
+        points = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
+        is_there = np.isfinite(points[..., 0])
         for frame, number in enumerate(view.frames.tolist()):
-            seen = np.isfinite(view.positions[frame, ..., 0])
-            listed = np.argwhere(seen | (frame == 0)).tolist()
+            listed = np.argwhere(is_there[frame] | (frame == 0)).tolist()
             for individual, keypoint in listed:
-                x, y = map(float, view.positions[frame, individual, keypoint])
-                score = float(view.confidence[frame, individual, keypoint])
-                numbers = (x, y, score) if np.isfinite(x) else ("", "", "")
+                point = points[frame, individual, keypoint].tolist()
+                cells = point if is_there[frame, individual, keypoint] else ("", "", "")
                 name = view.keypoints[keypoint]
-                writer.writerow([view.camera, number, individual, name, *numbers])
+                writer.writerow([view.camera, number, individual, name, *cells])
             if not listed:
                 writer.writerow([view.camera, number, 0, "", "", "", ""])
     return {"keypoints.csv": text.getvalue().encode()}
@@ -258,23 +234,23 @@ def read_caliscope(document: Document, options: ReadOptions) -> tuple[Keypoints2
         numbers=("img_loc_x", "img_loc_y", "score"),
     )
     keypoints = table.text(keypoint)
-    if options.layout:
-        names = {str(number): name for number, name in enumerate(options.layout)}
-        for row, number in enumerate(keypoints):
-            if number not in names:
-                expected = f"a number of a keypoint below {len(names)}, as many as the layout has"
-                remedy = f"give {argument('layout')} with more names, or leave it out"
-                raise table.refuse(row, expected, number, remedy)
-        keypoints = tuple(names[number] for number in keypoints)
-    points = Points(
+    names = {str(number): name for number, name in enumerate(options.layout)}
+    for number in dict.fromkeys(keypoints) if names else ():
+        if number not in names:
+            expected = f"a number of a keypoint below {len(names)}, as many as the layout has"
+            remedy = f"give {argument('layout')} with more names, or leave it out"
+            raise table.refuse(keypoints.index(number), expected, number, remedy)
+    keypoints = tuple(names.get(number, number) for number in keypoints)
+    return views_of_points(
+        document,
         camera=table.text(camera),
         frame=table.text("sync_index"),
         identity=table.text("object_id", "0"),
         keypoint=keypoints,
         values=table.numbers,
         lines=table.lines,
+        tracked=True,
     )
-    return views_from_points(points, document, tracked=True)
 
 
 CALISCOPE = Format(

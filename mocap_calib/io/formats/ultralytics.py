@@ -13,24 +13,16 @@ import numpy as np
 
 from mocap_calib.config import LARGEST_SHARE
 from mocap_calib.errors import FormatError, argument
-from mocap_calib.io.detections import (
-    NO_SCORE,
-    frames_of,
-    make_view,
-    stack_detections,
-    visibility_as_confidence,
-)
+from mocap_calib.io.detections import frames_of, view_of_frames
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
-from mocap_calib.io.layouts import LAYOUTS, layout_remedy
-from mocap_calib.io.read_options import ReadOptions
+from mocap_calib.io.read_options import ReadOptions, layout_remedy
 from mocap_calib.types import Floats, Keypoints2D
 
 _BOX = 5  # numbers before the points: class, centre and size
+_WIDTHS = (2, 3)  # of a point
 _BEHIND = (0, 1, 2)  # numbers that may follow them: the box's confidence, the track's number
 _LINE_OF_NUMBERS = re.compile(r"\s*[0-9]+(\s+[-+.0-9eEnaif]+){6,}\s*")
-
-Row = tuple[str, Floats]  # a line as messages name it, and its numbers behind the box
 
 
 def sniff(document: Document) -> bool:
@@ -52,39 +44,28 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         raise document.refuse(expected, "none", remedy)
     if not count:
         numbers = len(next(_lines(document))[1]) - _BOX
-        fitting = [name for name, names in LAYOUTS.items() if _widths(numbers, len(names))]
+        counts = [(numbers - behind) / width for width in _WIDTHS for behind in _BEHIND]
         found = f"{numbers} numbers after the box"
-        raise document.refuse("the names of its keypoints", found, layout_remedy(fitting))
+        raise document.refuse("the names of its keypoints", found, layout_remedy(counts))
     file_names, frames = frames_of(document)
     rows = [list(_rows(each)) for each in document.documents()]
     widths = [_widths(len(numbers), count) for of_file in rows for _, numbers in of_file]
     width = 2 if sum(2 in each for each in widths) > sum(3 in each for each in widths) else 3
-    detections = [[_points(row, count, width) for row in of_file] for of_file in rows]
-    values = stack_detections(detections, count, document.source)
-    largest = np.nanmax(np.abs(values[..., :2]), initial=0.0)
-    if largest > LARGEST_SHARE:
-        remedy = "these are pixels, of a letterboxed image perhaps: export them again"
-        raise document.refuse("positions from 0 to 1", f"{largest:.1f}", remedy)
-    is_unscored = bool(np.isnan(values[..., 2]).all())
-    is_there = np.where(np.isfinite(values[..., 0]), 1.0, np.nan)
-    values[..., 2] = is_there if is_unscored else visibility_as_confidence(values[..., 2])
-    values[..., :2] *= size
-    view = make_view(
-        document.origin,
-        options.layout,
+    view = view_of_frames(
+        document,
+        options,
         frames,
-        values,
-        tracked=False,
+        [[_points(*row, count, width, size) for row in of_file] for of_file in rows],
+        names=options.layout,
         image_size=size,
-        rows=file_names,
-        remarks=(NO_SCORE,) if is_unscored else (),
+        row_name=file_names.__getitem__,
     )
     return (view,)
 
 
 def _widths(numbers: int, keypoints: int) -> list[int]:
     """Return how many numbers a point can have where so many follow the box: 2, 3 or none."""
-    return [width for width in (2, 3) if numbers - width * keypoints in _BEHIND]
+    return [width for width in _WIDTHS if numbers - width * keypoints in _BEHIND]
 
 
 def _lines(document: Document) -> Iterator[tuple[int, list[str]]]:
@@ -94,7 +75,7 @@ def _lines(document: Document) -> Iterator[tuple[int, list[str]]]:
             yield number, line.split()
 
 
-def _rows(document: Document) -> Iterator[Row]:
+def _rows(document: Document) -> Iterator[tuple[str, Floats]]:
     """Return what messages call each line, and its numbers behind the box. Raises FormatError."""
     line_of: dict[tuple[str, ...], int] = {}
     for number, cells in _lines(document):
@@ -109,18 +90,24 @@ def _rows(document: Document) -> Iterator[Row]:
             raise FormatError(source, "numbers", error, "export it again") from None
 
 
-def _points(row: Row, keypoints: int, width: int) -> Floats:
-    """Return `[keypoint, 3]` of a line with `width` numbers a point, score NaN where it has none.
+def _points(
+    source: str, numbers: Floats, keypoints: int, width: int, size: tuple[int, int]
+) -> Floats:
+    """Return `[keypoint, 3]` pixels and scores of a line with `width` numbers a point.
 
-    Raises FormatError.
+    Scores are NaN where it has none. Raises FormatError.
     """
-    source, numbers = row
     if width not in _widths(len(numbers), keypoints):
         after = f"for each of {keypoints} keypoints after the box, as in the other lines"
         remedy = f"give {argument('layout')} with as many names as there are keypoints"
         raise FormatError(source, f"2 or 3 numbers {after}", f"{len(numbers)} numbers", remedy)
     points = numbers[: width * keypoints].reshape(keypoints, width)
-    return np.column_stack([points, np.full((keypoints, 3 - width), np.nan)])
+    largest = np.nanmax(np.abs(points[:, :2]), initial=0.0)
+    if largest > LARGEST_SHARE:
+        remedy = "these are pixels, of a letterboxed image perhaps: export them again"
+        raise FormatError(source, "positions from 0 to 1", f"{largest:.1f}", remedy)
+    scores = np.full((keypoints, 3 - width), np.nan)
+    return np.column_stack([points * (*size, 1)[:width], scores])
 
 
 FORMAT = Format(
