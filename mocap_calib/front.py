@@ -364,7 +364,7 @@ def to_xarray(
     Raises MismatchError where the package xarray, an extra, is absent, and ValueError for other
     numbers of names, names that occur twice and a rate that is not above 0.
     """
-    from mocap_calib.io.formats.movement_3d import to_dataset
+    from mocap_calib.io.formats.movement import to_dataset
 
     return to_dataset(describe_poses(poses, fps, individuals))
 

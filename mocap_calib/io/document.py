@@ -20,7 +20,7 @@ import msgspec
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.file import Origin, decode, is_utf16, opened, read_bytes
-from mocap_calib.io.hdf5 import HDF5, HDF5_DAMAGE, damage_refused
+from mocap_calib.io.hdf5 import DAMAGE, HDF5, damage_refused
 from mocap_calib.io.syntax import PARSERS, is_toml
 
 # beginnings of files that hold something else around what is wanted: what they are, what to do
@@ -298,7 +298,7 @@ class Document:
         try:
             start, is_all = self._read
             return h5py.File(io.BytesIO(start) if is_all else self.file, "r", locking=False)
-        except HDF5_DAMAGE as error:
+        except DAMAGE as error:
             raise self.refuse("a whole HDF5 file", f"an error ({error})", _DAMAGED) from None
 
     # --- for refusals

@@ -1,5 +1,8 @@
 """What the HDF5 readers share: text, arrays that fit into memory, and damage said in one line."""
 
+import struct
+import zipfile
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -9,25 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib import mapped
-from mocap_calib.errors import FormatError
+from mocap_calib.errors import FormatError, one_line
 from mocap_calib.io.file import MOST_POINTS
 from mocap_calib.types import Ints
 
 if TYPE_CHECKING:
     from mocap_calib.io.document import Document
 
-# what h5py and numpy raise on files that are cut, damaged, or compressed with a filter that is
-# not installed
-HDF5_DAMAGE = (
+# what h5py, numpy, zipfile and c3d raise on files that are cut or damaged, or packed by a filter
+# that is not installed
+DAMAGE = (
     OSError,
-    KeyError,
-    IndexError,
+    LookupError,
     ValueError,
     TypeError,
     AttributeError,
     RuntimeError,
-    OverflowError,
+    ArithmeticError,
     MemoryError,
+    EOFError,
+    AssertionError,
+    NameError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
 )
 HDF5 = b"\x89HDF\r\n\x1a\n"
 DEFLATE = 1032  # times: as tightly as deflate packs
@@ -43,15 +51,26 @@ _REMEDY = "the file is cut or damaged: export it again"
 
 
 @contextmanager
-def damage_refused(source: str, expected: str, remedy: str) -> Iterator[None]:
-    """Turn what h5py and numpy raise on damaged files into a FormatError."""
+def damage_refused(
+    source: str, expected: str, remedy: str = "write the file again"
+) -> Iterator[None]:
+    """Turn what is raised on files that are cut or damaged into a FormatError."""
     try:
         yield
-    except FormatError:
-        raise
-    except HDF5_DAMAGE as error:
-        found = f"an error ({error or type(error).__name__})"
+    except DAMAGE as error:
+        found = f"an error ({one_line(error) or type(error).__name__})"
         raise FormatError(source, expected, found, remedy) from None
+
+
+@contextmanager
+def opened_hdf5(
+    document: "Document", expected: str, remedy: str = "write the file again"
+) -> Iterator[h5py.File]:
+    """Open an HDF5 file, and turn what is raised on damage into a FormatError."""
+    with damage_refused(document.source, expected, remedy):
+        if document.hdf5 is None:
+            raise document.refuse(expected, document.describe()[0], remedy)
+        yield document.hdf5
 
 
 def text(value: Any) -> str:

@@ -2,39 +2,24 @@
 
 import math
 import re
-import struct
-import zipfile
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import h5py
 import numpy as np
 
-from mocap_calib.errors import FormatError, MismatchError, argument, one_line
+from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import find_repeated
 from mocap_calib.io.format import Loss
-from mocap_calib.io.hdf5 import HDF5_DAMAGE
+from mocap_calib.io.hdf5 import DAMAGE
 from mocap_calib.io.units import unit_factor
 from mocap_calib.recording.joints import choose_skeleton, edges_of_keypoints, match_names
 from mocap_calib.results import Poses3D
 from mocap_calib.types import ARBITRARY, CameraRig, Floats, Ints, check_names
 
-# what h5py, numpy, zipfile and c3d raise on files that are cut or damaged
-DAMAGE = (
-    *HDF5_DAMAGE,
-    EOFError,
-    AssertionError,
-    ZeroDivisionError,
-    NotImplementedError,
-    NameError,
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+MOST_VIEWS = 1e6  # of a point, what no file has
 _LONGEST = 5_000_000  # frames of a file without gaps: a day and a half at 30 per second
 UNNAMED = re.compile(r"individual_[0-9]+")  # what individuals without a name are called
 
@@ -106,29 +91,6 @@ def check_rate(fps: float | None) -> None:
 # --- for readers
 
 
-@contextmanager
-def refuse_damage(
-    source: str, expected: str, remedy: str = "write the file again"
-) -> Iterator[None]:
-    """Turn what is raised on files that are cut or damaged into a FormatError."""
-    try:
-        yield
-    except DAMAGE as error:
-        found = f"an error ({one_line(error)})"
-        raise FormatError(source, expected, found, remedy) from None
-
-
-@contextmanager
-def opened_hdf5(
-    document: Document, expected: str, remedy: str = "write the file again"
-) -> Iterator[h5py.File]:
-    """Open an HDF5 file, and turn what is raised on damage into a FormatError."""
-    with refuse_damage(document.source, expected, remedy):
-        if document.hdf5 is None:
-            raise document.refuse(expected, document.describe()[0], remedy)
-        yield document.hdf5
-
-
 def is_hdf5_that(document: Document, test: Callable[[h5py.File], bool]) -> bool:
     """Return whether the content is HDF5 that passes the test; damaged files do not."""
     try:
@@ -181,12 +143,6 @@ def check_poses(file: PoseFile, source: str) -> PoseFile:
     if (np.diff(file.poses.frames) <= 0).any():
         raise FormatError(source, "frames in order, each once", "others", "write the file again")
     return file
-
-
-def attribute(attributes: Mapping[str, Any], key: str) -> str:
-    """Return a text attribute of HDF5, "" where there is none."""
-    value = attributes.get(key, "")
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 # --- for writers

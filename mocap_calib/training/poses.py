@@ -19,8 +19,8 @@ from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.formats.npz import check_sizes
+from mocap_calib.io.hdf5 import damage_refused
 from mocap_calib.io.pose_files import read_poses
-from mocap_calib.io.poses import refuse_damage
 from mocap_calib.recording.joints import load_section, load_skeleton, match_names, parse_skeleton
 from mocap_calib.results import Poses3D
 from mocap_calib.synthetic.body_plan import parse_body, sample_bodies
@@ -99,7 +99,7 @@ def _read(path: Path) -> dict[str, NDArray[Any]]:
     if path.is_dir():
         folder, file_path = path, path / "poses3d.npz"
     wanted = "an npz file of 3D poses, or a folder with poses3d.npz and joints.json"
-    with refuse_damage(str(path), wanted):
+    with damage_refused(str(path), wanted):
         content = file_path.read_bytes()
         check_sizes(content, str(path))
         with np.load(io.BytesIO(content), allow_pickle=False) as file:

@@ -370,7 +370,7 @@ DETAILS = [
     (
         "movement-3d",
         {"frame": None, "time": TIMES + 0.5 / 60 * (np.arange(5) == 0)},
-        r"fps.*; save",
+        "whole frames",
     ),
     ("movement-3d", {"position": np.zeros((5, 2, 2, 3))}, "over time, space, keypoint, individual"),
 ]

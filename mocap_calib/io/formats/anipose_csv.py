@@ -14,7 +14,7 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_EXACT_FLOAT
 from mocap_calib.io.format import Format
-from mocap_calib.io.poses import COVARIANCES, INDIVIDUALS, UNIT, PoseFile, mark_missing
+from mocap_calib.io.poses import COVARIANCES, INDIVIDUALS, MOST_VIEWS, UNIT, PoseFile, mark_missing
 from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
 from mocap_calib.io.table import read_rows, read_table
 from mocap_calib.io.units import ARBITRARY
@@ -23,7 +23,6 @@ from mocap_calib.types import Floats
 
 _FIELDS = ("x", "y", "z", "error", "ncams", "score")
 _FRAME = "fnum"
-_MOST_VIEWS = 1e6  # what no file has
 _REMEDY = "export them again"
 
 
@@ -51,7 +50,7 @@ def read(document: Document) -> PoseFile:
     if not ((np.mod(frames, 1) == 0) & (np.abs(frames) < LARGEST_EXACT_FLOAT)).all():
         raise document.refuse("a whole number fnum in each row", "others", _REMEDY)
     values = numbers[:, :-1].reshape(len(frames), 1, len(names), len(_FIELDS))
-    views = np.nan_to_num(values[..., 4], nan=0.0, posinf=0.0, neginf=0.0).clip(0, _MOST_VIEWS)
+    views = np.nan_to_num(values[..., 4], nan=0.0, posinf=0.0, neginf=0.0).clip(0, MOST_VIEWS)
     poses = Poses3D(
         keypoints=tuple(names),
         frames=frames.astype(np.int64),

@@ -18,6 +18,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
+from mocap_calib.io.hdf5 import damage_refused
 from mocap_calib.io.pose_axes import up_axis
 from mocap_calib.io.poses import (
     QUALITY,
@@ -28,7 +29,6 @@ from mocap_calib.io.poses import (
     mark_missing,
     need_keypoints,
     need_rate,
-    refuse_damage,
 )
 from mocap_calib.io.units import known_unit
 
@@ -54,7 +54,7 @@ def read(document: Document) -> PoseFile:
     """
     source = document.source
     with (
-        refuse_damage(source, "a whole C3D file"),
+        damage_refused(source, "a whole C3D file"),
         warnings.catch_warnings(record=True) as caught,
     ):
         warnings.simplefilter("always")

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
-from mocap_calib.io.hdf5 import most_unpacked
-from mocap_calib.io.poses import PoseFile, refuse_damage
+from mocap_calib.io.hdf5 import damage_refused, most_unpacked
+from mocap_calib.io.poses import PoseFile
 from mocap_calib.io.units import known_unit
 from mocap_calib.io.world_fields import read_world, world_fields
 from mocap_calib.results import Poses3D
@@ -40,7 +40,7 @@ def sniff(document: Document) -> bool:
 
 def read(document: Document) -> PoseFile:
     """Read the arrays. Raises FormatError."""
-    with refuse_damage(document.source, f"an .npz of poses ({', '.join(_ARRAYS)}, ...)"):
+    with damage_refused(document.source, f"an .npz of poses ({', '.join(_ARRAYS)}, ...)"):
         check_sizes(document.content, document.source)
         with np.load(io.BytesIO(document.content), allow_pickle=False) as file:
             poses = Poses3D(

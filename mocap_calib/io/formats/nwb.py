@@ -1,10 +1,16 @@
-"""Read poses in NWB files (ndx-pose): a PoseEstimation per camera, a series per keypoint.
+"""Poses in NWB files (ndx-pose): a PoseEstimation per camera or individual, a series per keypoint.
+
+Series of two dimensions are the keypoints of a camera, of three the 3D poses of an individual.
 
 Traps: NWB has times and not frame numbers, as a rate or as timestamps that may be rounded; poses
 may lie anywhere below the top, also behind links; one series for several videos says nothing of
-each of them. Read with h5py alone, so that no extra is needed.
+each of them; 3D values are multiplied by the attribute `conversion`. Read with h5py alone; 3D poses
+are written through pynwb and ndx-pose (`pip install mocap-calib[nwb]`).
 """
 
+import tempfile
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import h5py
@@ -14,13 +20,29 @@ from mocap_calib.errors import FormatError
 from mocap_calib.io.detections import blank, fill_missing_scores, make_view
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_EXACT_FLOAT, Origin
-from mocap_calib.io.format import Format
-from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
+from mocap_calib.io.format import Format, Loss
+from mocap_calib.io.hdf5 import array, damage_refused, keys, names, opened_hdf5, text
+from mocap_calib.io.poses import (
+    COVARIANCES,
+    ERRORS,
+    VIEWS,
+    PoseFile,
+    bare_poses,
+    is_hdf5_that,
+    mark_missing,
+    need_keypoints,
+    need_rate,
+)
 from mocap_calib.io.read_options import ReadOptions
+from mocap_calib.io.units import known_unit
+from mocap_calib.results import Poses3D
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "write it with ndx-pose again"
 _DEPTH = 6  # how far below the top poses are looked for
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_NAMES = r"[^/:\x00-\x1f\ud800-\udfff]*[^/:\s\x00-\x1f\ud800-\udfff]"
+_SESSION = Loss("when the session was: 1970-01-01 is written", bool)
 
 
 def sniff(document: Document) -> bool:
@@ -30,6 +52,14 @@ def sniff(document: Document) -> bool:
             return False
         file = document.hdf5
         return "nwb_version" in file.attrs or "session_description" in file
+
+
+def sniff_poses(document: Document) -> bool:
+    """Return whether there is an estimated pose in three dimensions."""
+    return is_hdf5_that(document, lambda file: bool(_find_spatial_series(file)))
+
+
+# --- keypoints
 
 
 def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
@@ -45,30 +75,6 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         if len(groups) == 1:
             return (_view(groups[0], document.origin),)
         return tuple(_view(group, Origin(_name(group), source)) for group in groups)
-
-
-def _name(group: Any) -> str:
-    return str(group.name.rpartition("/")[2])
-
-
-def _groups_of_type(group: Any, kind: str, depth: int = _DEPTH) -> list[Any]:
-    """Return the groups of a neurodata type up to `depth` levels below this group.
-
-    Those directly below come first.
-    """
-    # links are not followed, so that nothing is found twice
-    links = {name: group.get(name, getlink=True) for name in group}
-    own = [group[name] for name, link in links.items() if isinstance(link, h5py.HardLink)]
-    children = [child for child in own if isinstance(child, h5py.Group)]
-    found = [child for child in children if _is_of_type(child, kind)]
-    for child in children if depth > 1 else ():
-        if not _is_of_type(child, kind):
-            found += _groups_of_type(child, kind, depth - 1)
-    return found
-
-
-def _is_of_type(group: Any, kind: str) -> bool:
-    return text(group.attrs.get("neurodata_type", "")) == kind
 
 
 def _view(group: Any, origin: Origin) -> Keypoints2D:
@@ -120,6 +126,142 @@ def _values(series_of: dict[str, Any], source: str) -> Floats:
     return values
 
 
+def _image_size(group: Any, source: str) -> tuple[int, int]:
+    """Return the (width, height) in `dimensions`; (0, 0) where it does not say it of one camera."""
+    if "dimensions" not in group:
+        return (0, 0)
+    size = array(group, "dimensions", source).reshape(-1)
+    return (int(size[0]), int(size[1])) if size.size == 2 else (0, 0)
+
+
+# --- 3D poses
+
+
+def read_poses(document: Document) -> PoseFile:
+    """Read 3D poses. Raises FormatError."""
+    source = document.source
+    with opened_hdf5(document, "3D poses of ndx-pose in NWB", _REMEDY) as file:
+        found = _find_spatial_series(file)
+        if not found:
+            raise ValueError("no series of three dimensions")
+        paths = list(dict.fromkeys(path for path, _ in found))
+        keypoints = list(dict.fromkeys(keypoint for _, keypoint in found))
+        first = next(iter(found.values()))
+        frames, rate = frame_numbers_and_rate(first, source)
+        positions = np.full((len(frames), len(paths), len(keypoints), 3), np.nan)
+        confidence = np.full(positions.shape[:3], np.nan)
+        for (path, keypoint), series in found.items():
+            if not np.array_equal(frame_numbers_and_rate(series, source)[0], frames):
+                raise ValueError("series of different times")
+            own = (slice(None), paths.index(path), keypoints.index(keypoint))
+            factor = float(series["data"].attrs.get("conversion", 1.0))
+            positions[own] = factor * array(series, "data", source).astype(np.float64)
+            if "confidence" in series:
+                confidence[own] = array(series, "confidence", source)
+        unit = known_unit(text(first["data"].attrs.get("unit", "")), source)
+        positions = mark_missing(positions)
+        poses = bare_poses(keypoints, frames, positions, unit=unit, confidence=confidence)
+        return PoseFile(poses, rate, tuple(path.rpartition("/")[2] for path in paths))
+
+
+def _find_spatial_series(file: Any) -> dict[tuple[str, str], Any]:
+    """Return the series in three dimensions: (path of the individual, keypoint) -> series."""
+    found = {}
+    for series in _groups_of_type(file, "PoseEstimationSeries"):
+        path, _, keypoint = series.name.rpartition("/")
+        if series["data"].shape[1:] == (3,):
+            found[path, keypoint] = series
+    return found
+
+
+# --- writing
+
+
+def write_poses(file: PoseFile, title: str) -> bytes:
+    """Write the poses through pynwb. Raises MismatchError."""
+    import ndx_pose  # noqa: PLC0415 - an extra
+    import pynwb  # noqa: PLC0415
+
+    rate = need_rate(file, "nwb-3d")
+    need_keypoints(file, _NAMES, "text without / and :", "nwb-3d")
+    nwb = pynwb.NWBFile(
+        session_description=title or "3D poses",
+        identifier="mocap-calib",
+        session_start_time=_EPOCH,
+    )
+    behavior = nwb.create_processing_module("behavior", "3D poses of mocap-calib")
+    skeletons = []
+    for individual, name in enumerate(file.individuals):
+        skeleton = ndx_pose.Skeleton(
+            name=f"{name}_skeleton",
+            nodes=list(file.poses.keypoints),
+            edges=np.array(file.edges, dtype=np.uint8).reshape(-1, 2),
+        )
+        skeletons.append(skeleton)
+        estimation = ndx_pose.PoseEstimation(
+            name=name,
+            pose_estimation_series=_make_series(ndx_pose, file.poses, individual, rate),
+            skeleton=skeleton,
+            source_software="mocap-calib",
+        )
+        behavior.add(estimation)
+    behavior.add(ndx_pose.Skeletons(skeletons=skeletons))
+    return _format_file(pynwb, nwb)
+
+
+def _make_series(ndx_pose: Any, poses: Poses3D, individual: int, rate: float) -> list[Any]:
+    """Return a PoseEstimationSeries for each keypoint of an individual (an index)."""
+    return [
+        ndx_pose.PoseEstimationSeries(
+            name=name,
+            description=name,
+            data=poses.positions[:, individual, keypoint],
+            unit=poses.unit,
+            reference_frame="the cameras' world; see the camera file",
+            timestamps=poses.frames / rate,
+            confidence=poses.confidence[:, individual, keypoint],
+            confidence_definition="mean confidence of the detections used",
+        )
+        for keypoint, name in enumerate(poses.keypoints)
+    ]
+
+
+def _format_file(pynwb: Any, nwb: Any) -> bytes:
+    """Return the content of a file, which pynwb writes to disks alone."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "poses.nwb"
+        with pynwb.NWBHDF5IO(str(path), "w") as out:
+            out.write(nwb)
+        return path.read_bytes()
+
+
+# --- groups and times
+
+
+def _name(group: Any) -> str:
+    return str(group.name.rpartition("/")[2])
+
+
+def _groups_of_type(group: Any, kind: str, depth: int = _DEPTH) -> list[Any]:
+    """Return the groups of a neurodata type up to `depth` levels below this group.
+
+    Those directly below come first.
+    """
+    # links are not followed, so that nothing is found twice
+    links = {name: group.get(name, getlink=True) for name in group}
+    own = [group[name] for name, link in links.items() if isinstance(link, h5py.HardLink)]
+    children = [child for child in own if isinstance(child, h5py.Group)]
+    found = [child for child in children if _is_of_type(child, kind)]
+    for child in children if depth > 1 else ():
+        if not _is_of_type(child, kind):
+            found += _groups_of_type(child, kind, depth - 1)
+    return found
+
+
+def _is_of_type(group: Any, kind: str) -> bool:
+    return text(group.attrs.get("neurodata_type", "")) == kind
+
+
 def frame_numbers_and_rate(series: Any, source: str) -> tuple[Ints, float]:
     """Return the `[frame]` numbers of a PoseEstimationSeries, and its frames per second.
 
@@ -153,18 +295,23 @@ def _median_rate(times: Floats) -> float:
     return float(np.round(1 / step, 6)) if step > 0 else np.nan
 
 
-def _image_size(group: Any, source: str) -> tuple[int, int]:
-    """Return the (width, height) in `dimensions`; (0, 0) where it does not say it of one camera."""
-    if "dimensions" not in group:
-        return (0, 0)
-    size = array(group, "dimensions", source).reshape(-1)
-    return (int(size[0]), int(size[1])) if size.size == 2 else (0, 0)
-
-
 KEYPOINTS = Format(
     kind="keypoints",
     name="nwb",
     title="NWB ndx-pose .nwb",
     sniff=sniff,
     read=read,
+)
+POSES = Format(
+    kind="poses",
+    name="nwb-3d",
+    title="NWB with ndx-pose",
+    sniff=sniff_poses,
+    read=read_poses,
+    write=write_poses,
+    endings=(".nwb",),
+    timed=True,
+    packages=("pynwb", "ndx_pose"),
+    extra="nwb",
+    loses=(ERRORS, VIEWS, _SESSION, COVARIANCES),
 )

@@ -21,7 +21,7 @@ from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
-from mocap_calib.io.poses import PoseFile, attribute, is_hdf5_that, opened_hdf5
+from mocap_calib.io.poses import PoseFile, is_hdf5_that
 from mocap_calib.io.world_fields import read_world, world_fields
 from mocap_calib.results import POINT_SOURCES, Poses3D
 from mocap_calib.types import check_shape
@@ -83,7 +83,7 @@ _DATASETS = {
 
 def sniff(document: Document) -> bool:
     """Return whether the attribute `format` says that it is ours."""
-    return is_hdf5_that(document, lambda file: attribute(file.attrs, "format") == _FORMAT)
+    return is_hdf5_that(document, lambda file: file.attrs.get("format") == _FORMAT)
 
 
 # --- reading
@@ -95,7 +95,7 @@ def read(document: Document) -> PoseFile:
     Raises FormatError.
     """
     source = document.source
-    with opened_hdf5(document, f"{_FORMAT}, version {VERSION}") as file:
+    with hdf5.opened_hdf5(document, f"{_FORMAT}, version {VERSION}") as file:
         format, version = file.attrs["format"], file.attrs["version"]
         if format != _FORMAT or version != VERSION:
             raise ValueError(f"format {format}, version {version}")

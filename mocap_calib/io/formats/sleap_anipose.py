@@ -13,19 +13,16 @@ import numpy as np
 
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
-from mocap_calib.io.hdf5 import array, integers, names, write_names
+from mocap_calib.io.hdf5 import array, integers, names_if_there, opened_hdf5, text, write_names
 from mocap_calib.io.poses import (
     QUALITY,
     PoseFile,
-    attribute,
     bare_poses,
     fill_gaps,
     is_hdf5_that,
     mark_missing,
-    opened_hdf5,
 )
 from mocap_calib.io.units import known_unit
-from mocap_calib.types import check_shape
 
 
 def sniff(document: Document) -> bool:
@@ -45,34 +42,21 @@ def _has_tracks(file: h5py.File) -> bool:
 
 def read(document: Document) -> PoseFile:
     """Read the tracks as individuals; nodes without names are numbered. Raises FormatError."""
-    expected = "points3d.h5 of SLEAP-anipose"
-    with opened_hdf5(document, expected) as file:
-        positions = array(file, "tracks", document.source).astype(np.float64)
-        check_shape("tracks", positions, None, None, None, 3)
-        frames = np.arange(len(positions))
-        if "frames" in file:
-            frames = integers(file, "frames", document.source)
-        keypoints = _names_if_given(file, "node_names", document.source)
-        individuals = _names_if_given(file, "track_names", document.source)
-        rate = float(file.attrs.get("fps", np.nan))
-        unit = known_unit(attribute(file.attrs, "unit"), document.source)
-        notes: tuple[str, ...] = ()
+    source = document.source
+    notes: tuple[str, ...] = ()
+    with opened_hdf5(document, "points3d.h5 of SLEAP-anipose") as file:
+        positions = mark_missing(array(file, "tracks", source).astype(np.float64))
+        count, _, nodes, _ = positions.shape
+        frames = integers(file, "frames", source) if "frames" in file else np.arange(count)
+        keypoints = names_if_there(file, "node_names", source)
         if not keypoints:
-            nodes = positions.shape[2]
             keypoints = tuple(f"node_{node}" for node in range(nodes))
-            notes = (_describe_nodes(nodes),)
-        check_shape("tracks", positions, len(frames), None, len(keypoints), 3)
-        poses = bare_poses(keypoints, frames, mark_missing(positions), unit=unit)
-        return PoseFile(poses, rate, individuals, notes)
-
-
-def _names_if_given(file: h5py.File, name: str, source: str) -> tuple[str, ...]:
-    """Return the names in a dataset, none where there is no such dataset."""
-    return names(file, name, source) if name in file else ()
-
-
-def _describe_nodes(count: int) -> str:
-    return f"the file does not name its {count} nodes: they are called node_0, node_1, ..."
+            unnamed = f"the file does not name its {nodes} nodes"
+            notes = (f"{unnamed}: they are called node_0, node_1, ...",)
+        unit = known_unit(text(file.attrs.get("unit", "")), source)
+        poses = bare_poses(keypoints, frames, positions, unit=unit)
+        individuals = names_if_there(file, "track_names", source)
+        return PoseFile(poses, float(file.attrs.get("fps", np.nan)), individuals, notes)
 
 
 # --- writing
