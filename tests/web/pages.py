@@ -71,33 +71,3 @@ class Shown:
 
 
 # what a quick processor that has nothing else to do computes in 0.13 s
-_WORK = """() => {
-    const numbers = new Float64Array(1 << 20).fill(0.5);
-    for (let round = 0; round < 12; round++)
-        for (let at = 0; at < numbers.length; at++) numbers[at] = Math.sin(numbers[at] + round);
-    return numbers[numbers.length - 1];
-}"""
-_QUICK = 0.13
-
-
-def slowness(page: Any) -> float:
-    """Return how many times as long as a quick processor this one takes now; 1 at least."""
-    before = cpu_seconds()["renderer"]
-    page.evaluate(_WORK)
-    return max(1.0, (cpu_seconds()["renderer"] - before) / _QUICK)
-
-
-def cpu_seconds() -> dict[str, float]:
-    """Return the time that processors spent on the processes of Chromium, by kind of process."""
-    ticks = os.sysconf("SC_CLK_TCK")
-    spent: dict[str, float] = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            command = (folder / "cmdline").read_text()
-            numbers = (folder / "stat").read_text().rsplit(")", 1)[1].split()
-        except OSError:  # it ended meanwhile
-            continue
-        if "--type=" in command and "chrom" in command:
-            kind = command.split("--type=")[1].split("\0")[0].split(" ")[0]
-            spent[kind] = spent.get(kind, 0) + (int(numbers[11]) + int(numbers[12])) / ticks
-    return spent
