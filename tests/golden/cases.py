@@ -2,6 +2,7 @@
 
 `corpus/KIND/NAME` holds one small recording, rig or set of poses as the program NAME writes it.
 Each is converted to the formats of its kind, and read again with each kind of damage to it.
+`corpus/refused-KIND/NAME` holds files with one thing wrong.
 """
 
 import json
@@ -53,6 +54,8 @@ class Conversion:
     @property
     def name(self) -> str:
         """What the case is called in the files of outcomes."""
+        if self.entry.startswith("refused"):
+            return self.entry
         return f"{self.entry} {self.damage}" if self.damage else f"{self.entry} -> {self.target}"
 
     def lay_out(self, folder: Path) -> str:
@@ -128,12 +131,16 @@ def conversions() -> list[Conversion]:
 
 
 def damages() -> list[Conversion]:
-    """Return the readings of damaged files."""
-    return [
+    """Return the readings of damaged files, and of files with one thing wrong."""
+    made = [
         Conversion(entry, TARGETS[entry.split("/")[0]][0], damage)
         for entry in entries()
         for damage in DAMAGES
     ]
+    for kind in ("keypoints", "cameras"):
+        wrong = sorted((CORPUS / f"refused-{kind}").iterdir())
+        made += [Conversion(f"refused-{kind}/{path.name}", TARGETS[kind][0]) for path in wrong]
+    return made
 
 
 def as_block(name: str, outcome: dict[str, Any]) -> str:
