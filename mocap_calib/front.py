@@ -196,11 +196,12 @@ def _write_result(
     unit = result.groups[0].rig.unit if result.groups else ARBITRARY
     for each in (*CAMERA_FORMATS, *POSE_FORMATS):
         if each.name == format and each.unit and unit == ARBITRARY:
+            kind = "cameras" if each in CAMERA_FORMATS else "poses"
             raise MismatchError(
                 f"format={format}",
                 "a format that leaves the unit of length open",
                 f"one in {each.unit}, and a result does not know lengths",
-                f"write the {each.kind} of a group by themselves, after .scale(factor, unit)",
+                f"write the {kind} of a group by themselves, after .scale(factor, unit)",
             )
     check_formats(formats, fps, unit)
     groups = write_result(path, result, inputs={}, described={}, formats=formats, fps=fps)

@@ -20,14 +20,7 @@ from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.document import Document, as_document
 from mocap_calib.io.file import find_repeated
-from mocap_calib.io.format import (
-    Format,
-    Written,
-    expected_formats,
-    find_format,
-    require_format,
-    sniff,
-)
+from mocap_calib.io.format import Format, FormatTable, Written
 from mocap_calib.io.formats import (
     anipose,
     colmap,
@@ -47,26 +40,29 @@ from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera
 
 # in the order in which they are tried: what is particular comes first
-CAMERA_FORMATS = (
-    own_cameras.FORMAT,
-    anipose.CALISCOPE,
-    anipose.FREEMOCAP,
-    anipose.POSE2SIM,
-    anipose.ANIPOSE,
-    opencv.JARVIS,
-    opencv.EASYMOCAP,
-    opencv.KALIBR,
-    opencv.ROS,
-    opencv.OPENCV,
-    colmap.BINARY,
-    colmap.TEXT,
-    json_rigs.PANOPTIC,
-    json_rigs.VOXELPOSE,
-    json_rigs.FOUR_D_ASSOCIATION,
-    nerfstudio.FORMAT,
-    openmvg.FORMAT,
-    json_rigs.MULTIVIEW_CALIB,
-    dannce.CAMERAS,
+CAMERA_FORMATS = FormatTable(
+    "cameras",
+    (
+        own_cameras.FORMAT,
+        anipose.CALISCOPE,
+        anipose.FREEMOCAP,
+        anipose.POSE2SIM,
+        anipose.ANIPOSE,
+        opencv.JARVIS,
+        opencv.EASYMOCAP,
+        opencv.KALIBR,
+        opencv.ROS,
+        opencv.OPENCV,
+        colmap.BINARY,
+        colmap.TEXT,
+        json_rigs.PANOPTIC,
+        json_rigs.VOXELPOSE,
+        json_rigs.FOUR_D_ASSOCIATION,
+        nerfstudio.FORMAT,
+        openmvg.FORMAT,
+        json_rigs.MULTIVIEW_CALIB,
+        dannce.CAMERAS,
+    ),
 )
 
 # endings of files that may be one of several in a folder, and all that are looked at in a folder
@@ -135,7 +131,7 @@ def load_cameras(
     if document.given is None and document.path.is_dir():
         return _load_folder(document.path, format, unit)
     if found := name_media(document.path):
-        raise document.refuse(expected_formats(CAMERA_FORMATS), found, _REMEDY)
+        raise document.refuse(CAMERA_FORMATS.expected, found, _REMEDY)
     return load_document(document, format, unit)
 
 
@@ -144,7 +140,7 @@ def load_document(document: Document, format: str | None, unit: str | None) -> C
     # a format that is named is taken at its word: its own complaint says more
     if format is not None and not document.is_folder:
         document = replace(document, format=format)
-    known = guard_hdf5(document, require_format, CAMERA_FORMATS, document, format, _REMEDY)
+    known = guard_hdf5(document, CAMERA_FORMATS.require, document, format, _REMEDY)
     return _complete(known.reader()(document), known, document, unit)
 
 
@@ -154,9 +150,9 @@ def looks_like_cameras(path: Path | bytes) -> bool:
     Raises FormatError where its JSON, TOML or YAML is broken.
     """
     if isinstance(path, bytes) or not path.is_dir():
-        return bool(sniff(CAMERA_FORMATS, as_document(path)))
+        return bool(CAMERA_FORMATS.sniff(as_document(path)))
     files = _list_files(path, FOLDER_ENDINGS)
-    if files and sniff(CAMERA_FORMATS, Document(path, members=tuple(files))):
+    if files and CAMERA_FORMATS.sniff(Document(path, members=tuple(files))):
         return True
     single = _list_files(path, ONE_CAMERA_ENDINGS)
     return bool(single) and looks_like_cameras(single[0])
@@ -168,7 +164,7 @@ def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile
     folder = Document(path, members=tuple(files))
     if _OWN in folder.names and set(folder.names) & _BESIDE_OWN:
         return load_cameras(path / _OWN, format, unit)
-    if files and (shown := sniff(CAMERA_FORMATS, folder, format)):
+    if files and (shown := CAMERA_FORMATS.sniff(folder, format)):
         return load_document(replace(folder, format=shown), format, unit)
     single = [file for file in files if file.suffix.lower() in ONE_CAMERA_ENDINGS]
     if not single:
@@ -262,7 +258,7 @@ def format_rig(
     Raises MismatchError where the format is only read or cannot carry the rig, and where it needs
     a unit of length that is not known.
     """
-    known = find_format(CAMERA_FORMATS, format)
+    known = CAMERA_FORMATS.find(format)
     write = known.writer()
     if known.unit:
         factor = unit_factor(rig.unit, known.unit, format)
@@ -293,7 +289,7 @@ def write_cameras(
     """
     path = Path(path)
     written = format_rig(rig, format, provenance or {}, points)
-    if find_format(CAMERA_FORMATS, format).folder:
+    if CAMERA_FORMATS.find(format).folder:
         check_no_other_files(path, written.files, FOLDER_ENDINGS)
         write_files(path, written.files)
     else:

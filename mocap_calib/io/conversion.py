@@ -23,11 +23,7 @@ from mocap_calib.io.camera_files import (
 )
 from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.document import NAMELESS
-from mocap_calib.io.format import (
-    ending_of,
-    find_format,
-    names_by_ending,
-)
+from mocap_calib.io.format import ending_of
 from mocap_calib.io.keypoints import format_keypoints, read_keypoints, write_keypoints
 from mocap_calib.io.kinds import OWN_POSES, Sources
 from mocap_calib.io.pose_axes import turn_up_axis
@@ -99,7 +95,7 @@ def convert_cameras(
         rig = rig.scale(factor, unit)
         points = replace(points, positions=factor * points.positions)
     provenance = {**(provenance or {}), **found.judgement}
-    known = find_format(CAMERA_FORMATS, to)
+    known = CAMERA_FORMATS.find(to)
     stated = known.unit or rig.unit
     lengths = "arbitrary lengths" if stated == ARBITRARY else f"lengths in {stated}"
     summary = f"{count(len(rig.cameras), 'camera')}, {lengths}, as {to}"
@@ -144,7 +140,7 @@ def convert_poses(
     else:
         name = str(sources[0])
         file = _read_individuals(sources, format, input_unit)
-    if find_format(POSE_FORMATS, to).rig and not isinstance(sources, bytes):
+    if POSE_FORMATS.find(to).rig and not isinstance(sources, bytes):
         file = _add_cameras(file, sources[0])
     if unit is not None:
         file = convert_unit(file, unit, f"{name}: {argument('unit', unit)}")
@@ -158,7 +154,7 @@ def convert_poses(
     if output is None:
         written = format_poses(file, to, Path("stdout"))
         return Conversion(summary, file.notes, written.lost, written.files)
-    if find_format(POSE_FORMATS, to).single:
+    if POSE_FORMATS.find(to).single:
         check_no_further_individual(output, individuals)
     return Conversion(summary, file.notes, write_poses(output, file, to))
 
@@ -258,7 +254,7 @@ def _add_cameras(file: PoseFile, source: Path) -> PoseFile:
 
 def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | None) -> PoseFile:
     """Read all individuals in files and folders of files. Raises FormatError and MismatchError."""
-    endings = names_by_ending(each for each in POSE_FORMATS if each.read is not None)
+    endings = {end for each in POSE_FORMATS if each.read for end in each.endings}
     paths: list[Path] = []
     for source in sources:
         if (source / OWN_POSES).is_file():  # the folder of a run

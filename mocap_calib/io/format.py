@@ -1,6 +1,6 @@
 """The record of a file format, what it loses, and what is asked of a table of formats."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,7 +28,6 @@ class Loss:
 class Format:
     """A file format: how it is recognised, read and written, and what it cannot hold.
 
-    kind: what its files hold.
     name: how users call it (`--format`, `--from`, `--to`).
     title: the program and the ending of its files, for sentences.
     sniff: whether a document is meant for this format, which its reader may still refuse; None
@@ -55,7 +54,6 @@ class Format:
     loses: what the format has no place for (keypoints, poses; writers of cameras return it).
     """
 
-    kind: Kind
     name: str
     title: str
     sniff: Callable[[Document], bool] | None = None
@@ -126,75 +124,76 @@ class Written:
     lost: tuple[str, ...] = ()
 
 
-def sniff(formats: Iterable[Format], document: Document, name: str | None = None) -> str:
-    """Return the name of the format that the content shows, "" where it shows none.
+@dataclass(frozen=True)
+class FormatTable:
+    """The formats of one kind of files, in the order in which they are tried."""
 
-    Only the format of that name is tried where one is given. Raises FormatError.
-    """
-    tried = (each for each in formats if name in (None, each.name))
-    return next((each.name for each in tried if each.sniffs(document)), "")
+    kind: Kind
+    formats: tuple[Format, ...]
 
+    def __iter__(self) -> Iterator[Format]:
+        return iter(self.formats)
 
-def require_format(
-    formats: Sequence[Format], document: Document, name: str | None, remedy: str
-) -> Format:
-    """Return the format of a document: what it is known to have, else what its content shows.
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all formats."""
+        return tuple(each.name for each in self)
 
-    name: of the only format to try; None: all of them. remedy: for content of no format.
+    @property
+    def read(self) -> tuple[str, ...]:
+        """The names of the formats that are read."""
+        return tuple(each.name for each in self if each.read is not None)
 
-    Raises FormatError where the content is of no format, or not of the one that is named.
-    """
-    shown = sniff(formats, document, name) if document.format is None else document.format
-    if shown:
-        return find_format(formats, shown)
-    found, own_remedy = document.describe()
-    expected = expected_formats(formats)
-    if name is not None:
-        expected, remedy = find_format(formats, name).title, "name another format, or none"
-    raise FormatError(document.source, expected, found, own_remedy or remedy)
+    @property
+    def written(self) -> tuple[str, ...]:
+        """The names of the formats that are written."""
+        return tuple(each.name for each in self if each.write is not None)
 
+    @property
+    def by_ending(self) -> dict[str, tuple[str, ...]]:
+        """Names of the formats that are written to files with an ending: ending -> names."""
+        found: dict[str, tuple[str, ...]] = {}
+        for each in self:
+            for ending in each.endings:
+                found[ending] = (*found.get(ending, ()), each.name)
+        return found
 
-def expected_formats(formats: Sequence[Format]) -> str:
-    """Return the formats that are read, for refusals."""
-    return f"{formats[0].kind}, one of: {', '.join(read_names(formats))}"
+    @property
+    def expected(self) -> str:
+        """The formats that are read, for refusals."""
+        return f"{self.kind}, one of: {', '.join(self.read)}"
 
+    def find(self, name: str) -> Format:
+        """Return the format of that name. Raises MismatchError, which lists the names."""
+        for each in self:
+            if each.name == name:
+                return each
+        expected = f"one of the {self.kind.removesuffix('s')} formats {', '.join(self.names)}"
+        raise MismatchError("", expected, f"{name!r}", suggest(name, self.names))
 
-def find_format(formats: Sequence[Format], name: str) -> Format:
-    """Return the format of that name. Raises MismatchError, which lists the names."""
-    for each in formats:
-        if each.name == name:
-            return each
-    kind = formats[0].kind.removesuffix("s")
-    raise MismatchError(
-        "",
-        f"one of the {kind} formats {', '.join(format_names(formats))}",
-        f"{name!r}",
-        suggest(name, format_names(formats)),
-    )
+    def sniff(self, document: Document, name: str | None = None) -> str:
+        """Return the name of the format that the content shows, "" where it shows none.
 
+        Only the format of that name is tried where one is given. Raises FormatError.
+        """
+        tried = (each for each in self if name in (None, each.name))
+        return next((each.name for each in tried if each.sniffs(document)), "")
 
-def format_names(formats: Iterable[Format]) -> tuple[str, ...]:
-    """Return the names of the formats, in the order in which they are tried."""
-    return tuple(each.name for each in formats)
+    def require(self, document: Document, name: str | None, remedy: str) -> Format:
+        """Return the format of a document: what it is known to have, else what its content shows.
 
+        name: of the only format to try; None: all of them. remedy: for content of no format.
 
-def read_names(formats: Iterable[Format]) -> tuple[str, ...]:
-    """Return the names of the formats that are read."""
-    return tuple(each.name for each in formats if each.read is not None)
-
-
-def written_names(formats: Iterable[Format]) -> tuple[str, ...]:
-    """Return the names of the formats that are written."""
-    return tuple(each.name for each in formats if each.write is not None)
-
-
-def names_by_ending(formats: Iterable[Format]) -> dict[str, tuple[str, ...]]:
-    """Return the names of the formats that are written to files with an ending: ending -> names."""
-    found: dict[str, tuple[str, ...]] = {}
-    for each in formats:
-        for ending in each.endings:
-            found[ending] = (*found.get(ending, ()), each.name)
-    return found
+        Raises FormatError where the content is of no format, or not of the one that is named.
+        """
+        shown = self.sniff(document, name) if document.format is None else document.format
+        if shown:
+            return self.find(shown)
+        found, own_remedy = document.describe()
+        expected = self.expected
+        if name is not None:
+            expected, remedy = self.find(name).title, "name another format, or none"
+        raise FormatError(document.source, expected, found, own_remedy or remedy)
 
 
 def ending_of(path: Path | str) -> str:

@@ -15,7 +15,7 @@ from mocap_calib.io.cameras import FILE_NAME, need_names
 from mocap_calib.io.crash_guard import end_calls, guard_hdf5
 from mocap_calib.io.detections import check_cameras, find_camera, frame_number
 from mocap_calib.io.document import Document, as_document
-from mocap_calib.io.format import Format, Written, find_format, require_format, sniff
+from mocap_calib.io.format import FormatTable, Written
 from mocap_calib.io.formats import (
     coco,
     dannce,
@@ -35,25 +35,28 @@ from mocap_calib.io.read_options import ReadOptions, apply_offsets, convert_to_p
 from mocap_calib.types import Keypoints2D, Reals
 
 # the first whose sniff says yes reads the file
-KEYPOINT_FORMATS = (
-    coco.ANNOTATIONS,
-    openpose.FORMAT,
-    mmpose.IMAGES,
-    mmpose.VIDEO,
-    deeplabcut.SUPERANIMAL,
-    coco.RESULTS,
-    coco.ALPHAPOSE,
-    deeplabcut_h5.HDF5,
-    sleap.ANALYSIS,
-    sleap.PROJECT,
-    movement.KEYPOINTS,
-    nwb.KEYPOINTS,
-    dannce.KEYPOINTS,
-    deeplabcut.CSV,
-    sleap.TABLE,
-    tables.CALISCOPE,
-    tables.PLAIN,
-    ultralytics.FORMAT,
+KEYPOINT_FORMATS = FormatTable(
+    "keypoints",
+    (
+        coco.ANNOTATIONS,
+        openpose.FORMAT,
+        mmpose.IMAGES,
+        mmpose.VIDEO,
+        deeplabcut.SUPERANIMAL,
+        coco.RESULTS,
+        coco.ALPHAPOSE,
+        deeplabcut_h5.HDF5,
+        sleap.ANALYSIS,
+        sleap.PROJECT,
+        movement.KEYPOINTS,
+        nwb.KEYPOINTS,
+        dannce.KEYPOINTS,
+        deeplabcut.CSV,
+        sleap.TABLE,
+        tables.CALISCOPE,
+        tables.PLAIN,
+        ultralytics.FORMAT,
+    ),
 )
 FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat")
 SUFFIXES = (*FOLDER_SUFFIXES, ".txt")  # the last only where there is nothing else
@@ -95,7 +98,7 @@ def read_what_can(
     """
     options = options or ReadOptions()
     if format is not None:
-        find_format(KEYPOINT_FORMATS, format)
+        KEYPOINT_FORMATS.find(format)
     if isinstance(paths, bytes):
         documents = [as_document(paths)]
     else:
@@ -170,7 +173,7 @@ def _is_hdf5(document: Document) -> bool:
 def _read(document: Document, format: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the cameras in a document. Raises FormatError and MismatchError."""
     source = document.source
-    known = require_format(KEYPOINT_FORMATS, document, format, _REMEDY)
+    known = KEYPOINT_FORMATS.require(document, format, _REMEDY)
     views: tuple[Keypoints2D, ...] = known.reader()(document, options)
     check_cameras([view.camera for view in views], source)
     if document.named:
@@ -295,7 +298,7 @@ def _of_files(folder: Path, format: str | None) -> list[Document]:
     frames = Document(folder, camera=_camera_of_folder(folder), members=tuple(files))
     if not frames.is_hdf5:
         frames = _sniffed(frames, format)
-        if frames.format and find_format(KEYPOINT_FORMATS, frames.format).per_frame:
+        if frames.format and KEYPOINT_FORMATS.find(frames.format).per_frame:
             return [frames]
     return [
         Document(
@@ -356,7 +359,7 @@ def _sniffed(document: Document, format: str | None = None) -> Document:
     if document.format is not None:
         return document
     try:
-        found = guard_hdf5(document, sniff, KEYPOINT_FORMATS, document, format)
+        found = guard_hdf5(document, KEYPOINT_FORMATS.sniff, document, format)
     except FormatError:
         return document
     return replace(document, format=found)  # without the content: many need not fit into memory
@@ -370,7 +373,7 @@ def format_keypoints(views: tuple[Keypoints2D, ...], format: str) -> Written:
 
     Raises MismatchError where the format is only read or cannot hold the detections.
     """
-    known = find_written_format(format)
+    known = KEYPOINT_FORMATS.find(format)
     for view in views:
         if known.followed and not view.tracked and view.positions.shape[1] > 1:
             expected = f"one individual or followed ones, as {known.title} has"
@@ -379,13 +382,6 @@ def format_keypoints(views: tuple[Keypoints2D, ...], format: str) -> Written:
     unsigned = (replace(view, positions=view.positions + 0.0) for view in views)  # no -0.0
     files = known.writer()(tuple(unsigned))
     return Written(files, known.lost(views))
-
-
-def find_written_format(name: str) -> Format:
-    """Return the format of that name. Raises MismatchError where it is not one that is written."""
-    known = find_format(KEYPOINT_FORMATS, name)
-    known.writer()
-    return known
 
 
 def write_keypoints(

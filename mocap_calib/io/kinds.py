@@ -6,24 +6,14 @@ from pathlib import Path
 from mocap_calib.errors import MismatchError, argument, suggest
 from mocap_calib.io.camera_files import CAMERA_FORMATS, looks_like_cameras
 from mocap_calib.io.file import plain_path
-from mocap_calib.io.format import (
-    Format,
-    Kind,
-    ending_of,
-    format_names,
-    names_by_ending,
-    read_names,
-    written_names,
-)
+from mocap_calib.io.format import FormatTable, Kind, ending_of
 from mocap_calib.io.keypoints import KEYPOINT_FORMATS, SUFFIXES, looks_like_keypoints
 from mocap_calib.io.media import check_no_media
 from mocap_calib.io.pose_files import POSE_FORMATS, looks_like_poses
 
 # in the order in which content is looked at
-FORMATS: Mapping[Kind, tuple[Format, ...]] = {
-    "poses": POSE_FORMATS,
-    "keypoints": KEYPOINT_FORMATS,
-    "cameras": CAMERA_FORMATS,
+FORMATS: Mapping[Kind, FormatTable] = {
+    table.kind: table for table in (POSE_FORMATS, KEYPOINT_FORMATS, CAMERA_FORMATS)
 }
 OWN_POSES = "poses3d.h5"  # in the folder of a run
 
@@ -62,7 +52,7 @@ def choose_kind(
     if to is None:
         ending = ending_of(output)
         for kind in shown or sorted(kinds):
-            if ending in names_by_ending(FORMATS[kind]):
+            if ending in FORMATS[kind].by_ending:
                 return kind
     return shown[0] if shown else "keypoints"
 
@@ -72,7 +62,7 @@ def choose_format(kind: Kind, output: str | Path) -> str:
 
     Raises MismatchError where it says none, or several.
     """
-    by_ending = names_by_ending(FORMATS[kind])
+    by_ending = FORMATS[kind].by_ending
     names = by_ending.get(ending_of(output), ())
     if len(names) > 1:
         raise MismatchError(
@@ -83,7 +73,7 @@ def choose_format(kind: Kind, output: str | Path) -> str:
         )
     if not names:
         known = ", ".join(f"{end} ({own[0]})" for end, own in by_ending.items() if len(own) == 1)
-        written = ", ".join(written_names(FORMATS[kind]))
+        written = ", ".join(FORMATS[kind].written)
         raise MismatchError(
             output,
             f"an ending of {known}, or {argument('to')} and one of {written}",
@@ -99,12 +89,13 @@ def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
     for option, name in ((argument("from"), format), (argument("to"), to)):
         if name is None:
             continue
-        list_names = read_names if option == argument("from") else format_names
-        having = [kind for kind in FORMATS if name in list_names(FORMATS[kind])]
+        is_read = option == argument("from")
+        known = {kind: each.read if is_read else each.names for kind, each in FORMATS.items()}
+        having = [kind for kind in FORMATS if name in known[kind]]
         if not having:
-            known = "; ".join(f"{kind}: {', '.join(list_names(FORMATS[kind]))}" for kind in FORMATS)
-            names = [each for formats in FORMATS.values() for each in list_names(formats)]
-            raise MismatchError(option, f"a format ({known})", f"{name!r}", suggest(name, names))
+            listed = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in known.items())
+            every = [each for names in known.values() for each in names]
+            raise MismatchError(option, f"a format ({listed})", f"{name!r}", suggest(name, every))
         fitting = [kind for kind in kinds if kind in having]
         if not fitting:
             raise MismatchError(
@@ -126,7 +117,7 @@ def _check_kind(sources: Sequence[str | Path], kind: Kind, to: str) -> None:
         return
     other = next((each for each in FORMATS if _looks_like(each, sources)), None)
     if other is not None:
-        names = ", ".join(written_names(FORMATS[other]))
+        names = ", ".join(FORMATS[other].written)
         raise MismatchError(
             argument("to", to),
             f"a format of {other}, which INPUT holds",

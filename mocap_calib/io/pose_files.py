@@ -15,7 +15,7 @@ from mocap_calib.io.atomic import individual_files, write_bytes, write_files
 from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.document import Document, as_document
 from mocap_calib.io.file import find_repeated
-from mocap_calib.io.format import Written, find_format, require_format, sniff
+from mocap_calib.io.format import FormatTable, Written
 from mocap_calib.io.formats import (
     anipose_csv,
     blender,
@@ -36,18 +36,21 @@ from mocap_calib.results import Poses3D
 
 OWN = "poses-h5"  # the format of a run
 
-POSE_FORMATS = (
-    own_poses.POSES,
-    anipose_csv.POSES,
-    trc.POSES,
-    c3d_file.POSES,
-    movement.POSES,
-    sleap_anipose.POSES,
-    nwb.POSES,
-    npz.POSES,
-    bvh.POSES,
-    blender.POSES,
-    rerun_file.POSES,
+POSE_FORMATS = FormatTable(
+    "poses",
+    (
+        own_poses.POSES,
+        anipose_csv.POSES,
+        trc.POSES,
+        c3d_file.POSES,
+        movement.POSES,
+        sleap_anipose.POSES,
+        nwb.POSES,
+        npz.POSES,
+        bvh.POSES,
+        blender.POSES,
+        rerun_file.POSES,
+    ),
 )
 
 
@@ -122,12 +125,12 @@ def join_individuals(files: Sequence[PoseFile], source: str) -> PoseFile:
 
 def _sniff(document: Document) -> str:
     """Return the name of the format that the content shows. Raises FormatError."""
-    return sniff(POSE_FORMATS, document)
+    return POSE_FORMATS.sniff(document)
 
 
 def _read(document: Document, format: str | None) -> tuple[str, PoseFile]:
     """Return the name of the format, and the poses. Raises FormatError."""
-    known = require_format(POSE_FORMATS, document, format, "export one of these, or name it")
+    known = POSE_FORMATS.require(document, format, "export one of these, or name it")
     return known.name, check_poses(known.reader()(document), document.source)
 
 
@@ -188,7 +191,7 @@ def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Wr
 
     Raises MismatchError where the format carries too little.
     """
-    known = find_format(POSE_FORMATS, format)
+    known = POSE_FORMATS.find(format)
     write = known.writer()
     file = turn_upright(file, known.up)
     if not known.single:

@@ -30,7 +30,7 @@ def command(typed: Typed) -> None:
     """
     from mocap_calib.errors import count, describe_lost
     from mocap_calib.io.filled_table import FILLED_TABLE, format_filled_table
-    from mocap_calib.io.keypoints import find_written_format, write_keypoints
+    from mocap_calib.io.keypoints import KEYPOINT_FORMATS, write_keypoints
     from mocap_calib.lift import complete_sample, find_completed, lift
     from mocap_calib.lift.lifter import load_model, load_vocabulary
     from mocap_calib.recording.sampling import check_known_joints, take_sample
@@ -38,7 +38,7 @@ def command(typed: Typed) -> None:
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.screen import Reporter
 
-    find_written_format(typed.to)
+    KEYPOINT_FORMATS.find(typed.to).writer()
     outputs.check_folder(typed.output)
     with Reporter(quiet=typed.quiet) as reporter:
         camera_file = inputs.load_camera_file(typed.cameras, "--cameras")

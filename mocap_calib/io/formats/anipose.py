@@ -280,7 +280,6 @@ def _without_none(value: Any) -> Any:
 
 
 CALISCOPE = Format(
-    kind="cameras",
     name="caliscope",
     title="caliscope camera_array.toml",
     sniff=sniff_caliscope,
@@ -289,7 +288,6 @@ CALISCOPE = Format(
     unit="m",
 )
 FREEMOCAP = Format(
-    kind="cameras",
     name="freemocap",
     title="FreeMoCap calibration.toml",
     sniff=sniff_freemocap,
@@ -298,7 +296,6 @@ FREEMOCAP = Format(
     unit="mm",
 )
 POSE2SIM = Format(
-    kind="cameras",
     name="pose2sim",
     title="Pose2Sim Calib.toml",
     sniff=sniff_pose2sim,
@@ -307,7 +304,6 @@ POSE2SIM = Format(
     unit="m",
 )
 ANIPOSE = Format(
-    kind="cameras",
     name="anipose",
     title="anipose calibration.toml",
     sniff=partial(Document.has, syntax="toml"),

@@ -100,7 +100,6 @@ def _stack_columns(poses: Poses3D, individual: int, piece: slice) -> Floats:
 
 
 POSES = Format(
-    kind="poses",
     name="anipose-csv",
     title="Anipose CSV",
     sniff=sniff,

@@ -133,7 +133,6 @@ def _find_floor(file: PoseFile) -> list[float] | None:
 
 
 POSES = Format(
-    kind="poses",
     name="blender",
     title="Python script for Blender",
     write=write,

@@ -108,7 +108,6 @@ def _has_loose_keypoints(file: PoseFile) -> bool:
 
 JOINTS = Loss("keypoints that no bone joins", _has_loose_keypoints)
 POSES = Format(
-    kind="poses",
     name="bvh",
     title="BVH of animation programs",
     write=write,

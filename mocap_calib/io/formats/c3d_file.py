@@ -149,7 +149,6 @@ def write(file: PoseFile, title: str) -> bytes:
 
 
 POSES = Format(
-    kind="poses",
     name="c3d",
     title="C3D",
     sniff=sniff,

@@ -323,7 +323,6 @@ def _compact(value: object) -> str:
 
 
 ANNOTATIONS = Format(
-    kind="keypoints",
     name="coco",
     title="COCO annotations .json",
     sniff=sniff,
@@ -391,14 +390,12 @@ def _frame_text(image: str, pattern: str) -> str:
 
 
 RESULTS = Format(
-    kind="keypoints",
     name="coco-results",
     title="COCO results .json",
     sniff=sniff_results,
     read=read_results,
 )
 ALPHAPOSE = Format(
-    kind="keypoints",
     name="alphapose",
     title="AlphaPose .json",
     sniff=sniff_alphapose,

@@ -134,7 +134,6 @@ def _write(rig: CameraRig, points: ObservedPoints, ending: str, lost: tuple[str,
 
 
 BINARY = Format(
-    kind="cameras",
     name="colmap-binary",
     title="COLMAP binary model",
     sniff=sniff_binary,
@@ -144,7 +143,6 @@ BINARY = Format(
     points=True,
 )
 TEXT = Format(
-    kind="cameras",
     name="colmap",
     title="COLMAP text model",
     sniff=sniff_text,

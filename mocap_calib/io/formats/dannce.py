@@ -253,14 +253,12 @@ def _simplify(value: Any) -> Any:
 
 
 KEYPOINTS = Format(
-    kind="keypoints",
     name="label3d",
     title="Label3D .mat",
     sniff=sniff,
     read=read,
 )
 CAMERAS = Format(
-    kind="cameras",
     name="dannce",
     title="Label3D or DANNCE .mat",
     sniff=sniff_cameras,

@@ -232,7 +232,6 @@ def _format_csv(table: LabelledTable) -> bytes:
 
 
 CSV = Format(
-    kind="keypoints",
     name="deeplabcut-csv",
     title="DeepLabCut and Lightning Pose .csv",
     sniff=sniff_csv,
@@ -265,7 +264,6 @@ def read_superanimal(document: Document, options: ReadOptions) -> tuple[Keypoint
 
 
 SUPERANIMAL = Format(
-    kind="keypoints",
     name="superanimal",
     title="DeepLabCut SuperAnimal .json",
     sniff=sniff_superanimal,

@@ -248,7 +248,6 @@ def _set_texts(item: Any, attributes: dict[str, bytes]) -> None:
 
 
 HDF5 = Format(
-    kind="keypoints",
     name="deeplabcut-h5",
     title="DeepLabCut .h5",
     sniff=sniff,

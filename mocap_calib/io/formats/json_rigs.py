@@ -210,7 +210,6 @@ def write_multiview_calib(rig: CameraRig, provenance: Mapping[str, Any]) -> Writ
 
 
 PANOPTIC = Format(
-    kind="cameras",
     name="panoptic",
     title="CMU Panoptic JSON",
     sniff=partial(Document.has_entry, keys=["distCoef"]),
@@ -219,7 +218,6 @@ PANOPTIC = Format(
     unit="cm",
 )
 VOXELPOSE = Format(
-    kind="cameras",
     name="voxelpose",
     title="VoxelPose JSON",
     sniff=partial(Document.has_entry, keys=["R", "T", *_VOXELPOSE_MATRIX]),
@@ -228,7 +226,6 @@ VOXELPOSE = Format(
     unit="mm",
 )
 FOUR_D_ASSOCIATION = Format(
-    kind="cameras",
     name="4d-association",
     title="4D-Association JSON",
     sniff=partial(Document.has_entry, keys=["K", "RT", "imgSize"]),
@@ -237,7 +234,6 @@ FOUR_D_ASSOCIATION = Format(
     unit="m",
 )
 MULTIVIEW_CALIB = Format(
-    kind="cameras",
     name="multiview-calib",
     title="multiview_calib JSON",
     sniff=sniff_multiview_calib,

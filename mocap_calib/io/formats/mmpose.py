@@ -94,7 +94,6 @@ def _points(instances: list[_Instance], document: Document) -> list[list[tuple[A
 
 
 IMAGES = Format(
-    kind="keypoints",
     name="mmpose-images",
     title="MMPose .json of images, a folder per camera",
     sniff=sniff_image,
@@ -102,7 +101,6 @@ IMAGES = Format(
     per_frame=True,
 )
 VIDEO = Format(
-    kind="keypoints",
     name="mmpose",
     title="MMPose and RTMPose .json of a video",
     sniff=sniff_video,

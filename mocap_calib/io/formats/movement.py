@@ -291,7 +291,6 @@ def _attributes(file: PoseFile, title: str) -> dict[str, Any]:
 
 
 KEYPOINTS = Format(
-    kind="keypoints",
     name="movement",
     title="movement .nc",
     sniff=sniff,
@@ -302,7 +301,6 @@ KEYPOINTS = Format(
     loses=(SIZES, SCORES),
 )
 POSES = Format(
-    kind="poses",
     name="movement-3d",
     title="movement netCDF",
     sniff=sniff_poses,

@@ -107,7 +107,6 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
 
 
 FORMAT = Format(
-    kind="cameras",
     name="nerfstudio",
     title="nerfstudio transforms.json",
     sniff=partial(Document.has_entry, keys=["transform_matrix"]),

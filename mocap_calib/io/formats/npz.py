@@ -115,7 +115,6 @@ def write(file: PoseFile, title: str) -> bytes:
 
 
 POSES = Format(
-    kind="poses",
     name="npz",
     title="numpy archive",
     sniff=sniff,

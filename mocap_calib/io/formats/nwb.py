@@ -296,14 +296,12 @@ def _median_rate(times: Floats) -> float:
 
 
 KEYPOINTS = Format(
-    kind="keypoints",
     name="nwb",
     title="NWB ndx-pose .nwb",
     sniff=sniff,
     read=read,
 )
 POSES = Format(
-    kind="poses",
     name="nwb-3d",
     title="NWB with ndx-pose",
     sniff=sniff_poses,

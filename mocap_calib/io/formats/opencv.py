@@ -291,7 +291,6 @@ def read_kalibr(document: Document) -> CameraFile:
 
 
 JARVIS = Format(
-    kind="cameras",
     name="jarvis",
     title="JARVIS YAML",
     sniff=partial(Document.has_line, pattern=r"^intrinsicMatrix\s*:"),
@@ -301,7 +300,6 @@ JARVIS = Format(
     folder=True,
 )
 EASYMOCAP = Format(
-    kind="cameras",
     name="easymocap",
     title="EasyMocap intri.yml and extri.yml",
     sniff=sniff_easymocap,
@@ -311,7 +309,6 @@ EASYMOCAP = Format(
     folder=True,
 )
 KALIBR = Format(
-    kind="cameras",
     name="kalibr",
     title="Kalibr camchain",
     sniff=sniff_kalibr,
@@ -319,14 +316,12 @@ KALIBR = Format(
     unit="m",
 )
 ROS = Format(
-    kind="cameras",
     name="ros",
     title="ROS camera_info",
     sniff=sniff_ros,
     read=read_ros,
 )
 OPENCV = Format(
-    kind="cameras",
     name="opencv",
     title="OpenCV YAML",
     sniff=partial(

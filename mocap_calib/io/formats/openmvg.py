@@ -201,7 +201,6 @@ def _lost_focal_length(camera: Camera) -> list[str]:
 
 
 FORMAT = Format(
-    kind="cameras",
     name="openmvg",
     title="OpenMVG sfm_data.json",
     sniff=partial(Document.has, syntax="json", keys=["sfm_data_version", "views", "intrinsics"]),

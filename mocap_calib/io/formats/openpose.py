@@ -116,7 +116,6 @@ def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
 
 
 FORMAT = Format(
-    kind="keypoints",
     name="openpose",
     title="OpenPose .json, a folder per camera",
     sniff=sniff,

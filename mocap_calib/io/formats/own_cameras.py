@@ -244,7 +244,6 @@ def _is_number(value: Any) -> bool:
 
 
 FORMAT = Format(
-    kind="cameras",
     name="mocap-calib",
     title="mocap-calib cameras.yaml",
     sniff=sniff,

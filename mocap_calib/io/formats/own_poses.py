@@ -207,7 +207,6 @@ def _any_known(array: NDArray[Any]) -> bool:
 
 
 POSES = Format(
-    kind="poses",
     name="poses-h5",
     title="mocap-calib poses3d.h5",
     sniff=sniff,

@@ -88,7 +88,6 @@ def _log_individual(rerun: Any, stream: Any, file: PoseFile, number: int, place:
 
 
 POSES = Format(
-    kind="poses",
     name="rerun",
     title="rerun recording",
     write=write,

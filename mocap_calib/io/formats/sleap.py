@@ -167,7 +167,6 @@ def _format_analysis(view: Keypoints2D) -> bytes:
 
 
 ANALYSIS = Format(
-    kind="keypoints",
     name="sleap",
     title="SLEAP analysis .h5",
     sniff=sniff,
@@ -346,7 +345,6 @@ def _cameras_of_session(file: Any, videos: list[int], source: str) -> dict[int, 
 
 
 PROJECT = Format(
-    kind="keypoints",
     name="sleap-slp",
     title="SLEAP .slp",
     sniff=sniff_project,
@@ -390,7 +388,6 @@ def read_csv(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...
 
 
 TABLE = Format(
-    kind="keypoints",
     name="sleap-csv",
     title="SLEAP analysis .csv",
     sniff=sniff_csv,

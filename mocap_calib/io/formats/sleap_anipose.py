@@ -78,7 +78,6 @@ def write(file: PoseFile, title: str) -> bytes:
 
 
 POSES = Format(
-    kind="poses",
     name="sleap-anipose",
     title="SLEAP-anipose points3d.h5",
     sniff=sniff,

@@ -198,7 +198,6 @@ def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
 
 
 PLAIN = Format(
-    kind="keypoints",
     name="csv",
     title="csv with a row per point (camera,frame,individual,keypoint,x,y,score)",
     sniff=sniff,
@@ -254,7 +253,6 @@ def read_caliscope(document: Document, options: ReadOptions) -> tuple[Keypoints2
 
 
 CALISCOPE = Format(
-    kind="keypoints",
     name="caliscope",
     title="caliscope .csv",
     sniff=sniff_caliscope,

@@ -184,7 +184,6 @@ def _format_row(row: list[float]) -> str:
 
 
 POSES = Format(
-    kind="poses",
     name="trc",
     title="OpenSim TRC",
     sniff=sniff,

@@ -111,7 +111,6 @@ def _points(
 
 
 FORMAT = Format(
-    kind="keypoints",
     name="ultralytics",
     title="Ultralytics .txt, a folder per camera",
     sniff=sniff,

@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError, argument, describe_lost, suggest
 from mocap_calib.io.camera_files import CAMERA_FORMATS, format_rig, write_cameras
-from mocap_calib.io.format import Format, find_format, written_names
+from mocap_calib.io.format import Format
 from mocap_calib.io.pose_files import POSE_FORMATS, format_poses, write_poses
 from mocap_calib.io.poses import PoseFile, bare_poses, describe_poses
 from mocap_calib.io.units import ARBITRARY
@@ -38,7 +38,7 @@ def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY
     none, one whose packages are not installed, and one that needs a unit of length where
     nobody says one.
     """
-    poses, cameras = written_names(POSE_FORMATS), written_names(CAMERA_FORMATS)
+    poses, cameras = POSE_FORMATS.written, CAMERA_FORMATS.written
     for name in names:
         if name not in (*poses, *cameras):
             raise MismatchError(
@@ -48,7 +48,7 @@ def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY
                 suggest(name, (*poses, *cameras)),
             )
         known: Format
-        known = find_format(POSE_FORMATS if name in poses else CAMERA_FORMATS, name)
+        known = (POSE_FORMATS if name in poses else CAMERA_FORMATS).find(name)
         known.writer()
         if unit == ARBITRARY:
             _check_unit(known)
@@ -80,7 +80,7 @@ def check_recording(
     poses = bare_poses(recording.keypoints, np.zeros(1, int), positions, unit=unit)
     file = describe_poses(poses, fps, rig=rig)
     for name in names:
-        if name in written_names(CAMERA_FORMATS):
+        if name in CAMERA_FORMATS.written:
             format_rig(rig, name, {})
         else:
             format_poses(file, name, Path("poses"))
@@ -90,7 +90,7 @@ def _check_unit(known: Format) -> None:
     """Raise MismatchError where a format needs a unit of length, with the way to write it."""
     if not known.unit:
         return
-    file = "cameras.yaml" if known.kind == "cameras" else "poses3d.h5"
+    file = "cameras.yaml" if known.name in CAMERA_FORMATS.names else "poses3d.h5"
     rate = " --fps FPS" if known.timed else ""
     raise MismatchError(
         argument("write", known.name),
@@ -127,7 +127,7 @@ def write_formats(
     refused: dict[str, MismatchError] = {}
     for name in names:
         try:
-            if name in written_names(CAMERA_FORMATS):
+            if name in CAMERA_FORMATS.written:
                 lost = _write_rig(output / name, rig, name, provenance, points)
             elif file is not None:
                 lost = _write_poses(output, replace(file, rig=rig), name)
@@ -148,7 +148,7 @@ def _write_rig(
     points: ObservedPoints | None,
 ) -> tuple[str, ...]:
     """Write the files of a camera format into a folder; return what they do not hold."""
-    known = find_format(CAMERA_FORMATS, name)
+    known = CAMERA_FORMATS.find(name)
     held = points if known.points else None  # that others do not hold points need not be said
     if known.folder:
         return write_cameras(folder, rig, name, provenance, held)
@@ -158,6 +158,6 @@ def _write_rig(
 
 def _write_poses(folder: Path, file: PoseFile, name: str) -> tuple[str, ...]:
     """Write a pose format's files into a folder; return what they do not hold."""
-    known = find_format(POSE_FORMATS, name)
+    known = POSE_FORMATS.find(name)
     path = folder / (known.result or f"poses3d{known.endings[0]}")
     return write_poses(path, file, name)
