@@ -11,7 +11,6 @@ their order, or is a YAML or JSON file with such a list; --key says below which 
 The sets that the model cards name are made so (benchmarks/README.md).
 """
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import Any
 import h5py
 import numpy as np
 import yaml
+from common import make_parser
 from scipy.io import loadmat
 
 from mocap_calib.errors import FormatError
@@ -28,9 +28,7 @@ from mocap_calib.types import Floats
 
 def main() -> None:
     """Read an array, and write a set."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__)
     parser.add_argument("out", type=Path, metavar="SET")
     parser.add_argument("sources", nargs="+", metavar="FILE:ARRAY")
     parser.add_argument("--joints", required=True, help="names, or a file that has them")

@@ -11,13 +11,13 @@ of bones. Face, heels and small toes, which the bones lack, stand at usual place
 beside the skull, the ankle and the ball of the foot, as large as the subject's legs.
 """
 
-import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import make_parser
 from rich.progress import track
 
 from mocap_calib.errors import FormatError
@@ -64,9 +64,7 @@ Bones = dict[str, Bone]  # parents before children; the root is "root"
 
 def main() -> None:
     """Read every motion of every subject, and write one file."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__)
     parser.add_argument("subjects", type=Path, help="folder with a folder for each subject")
     parser.add_argument("out", type=Path, help="the npz file")
     parser.add_argument("--every", type=int, default=EVERY, help=f"n-th frame (default: {EVERY})")

@@ -15,10 +15,11 @@ import json
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from common import make_parser
 from paper.scenes import shuffled_view
 from poses_of_arrays import names_of, read_clip
 
@@ -36,8 +37,7 @@ PANOPTIC: tuple[str, ...] = (
 )
 
 
-@dataclass(frozen=True)
-class Made:
+class Made(NamedTuple):
     """A recording as it is written; `mocap_calib.synthetic.scene_files` has the fields."""
 
     rig: CameraRig
@@ -65,9 +65,7 @@ def main() -> None:
 
 def parse() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--cameras", type=Path, required=True, help="where they stand, and lenses")
     parser.add_argument("--views", help="these cameras alone: names with commas")
@@ -107,14 +105,6 @@ def of_detections(rig: CameraRig, files: Sequence[Keypoints2D], kind: str) -> Ma
     Raises MismatchError where a frame has two detections: nobody says who they are.
     """
     by_camera = {file.camera: file for file in files}
-    missing = set(rig.names) - set(by_camera)
-    if missing:
-        raise MismatchError(
-            "",
-            f"detections of camera {min(missing)}",
-            f"those of {', '.join(by_camera)}",
-            "add its file",
-        )
     ordered = tuple(by_camera[name] for name in rig.names)
     last = 1 + max(int(file.frames[-1]) for file in ordered)
     most = max(file.positions.shape[1] for file in ordered)

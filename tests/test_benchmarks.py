@@ -81,7 +81,7 @@ def test_cells_and_tables_need_no_data(monkeypatch, capsys, tmp_path):
     given = ["paper.py", "dog/4x1/ours", "--results", str(results), "--page", str(page)]
     monkeypatch.setattr(sys, "argv", [*given, "--list"])
     paper.main()
-    assert capsys.readouterr().out.startswith("pairs/dog/4x1/ours 100 11\n")
+    assert capsys.readouterr().out.startswith("pairs/dog/4x1/ours 100\n")
     for options, status in ((["--tables"], 0), ([], 2)):
         monkeypatch.setattr(sys, "argv", [*given, *options])
         with pytest.raises(SystemExit) as ended:

@@ -7,7 +7,6 @@ it is a dict that goes into a line of JSON.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,11 +20,11 @@ from mocap_calib.rig.triangulate import triangulate
 from mocap_calib.types import Bools, Sample, silent
 
 from ..common import describe_machine, describe_moment
-from .judge import FAILED, Judged, judge, rig_errors
+from .judge import FAILED, judge, rig_errors
 from .methods import METHODS, Problem, load_models
 from .networks import displacements
 from .recordings import RECORDINGS, real_pairs
-from .scenes import KINDS, Subjects, Truth, misplace, scene
+from .scenes import KINDS, Truth, load_subjects, misplace, scene
 
 Line = dict[str, Any]
 Group = Literal["pairs", "detections", "networks", "rigs"]
@@ -102,7 +101,7 @@ class Data:
 
 
 def plan(sizes: Sizes, *, quick: bool) -> list[Cell]:
-    """Return all cells: those of one subject first, and of these the short ones.
+    """Return all cells, the short ones first.
 
     quick: the paper's solver takes part in the ablation alone.
     """
@@ -115,13 +114,8 @@ def plan(sizes: Sizes, *, quick: bool) -> list[Cell]:
         for kind, counts in RIGS.items()
         for count in counts
     ]
-    return sorted(cells, key=_effort)
-
-
-def _effort(cell: Cell) -> tuple[bool, int]:
-    """Return a rank of the time that a cell takes: rotation tokens pass a network each step."""
-    several = cell.group == "detections" or cell.scenario.startswith("4")
-    return several, is_paper(cell.method) + ("token" in cell.method)
+    # rotation tokens pass a network each step
+    return sorted(cells, key=lambda each: is_paper(each.method) + ("token" in each.method))
 
 
 def _ablated(cell: Cell) -> bool:
@@ -214,16 +208,11 @@ def identities_of(truth: Truth) -> Bools:
     return np.asarray((first == second) & (first >= 0))
 
 
-@cache
-def _subjects(poses: Path, kind: str) -> Subjects:
-    return Subjects(poses, KINDS[kind])
-
-
 def scenes(
     poses: Path, kind: str, count: int, frames: int, *, views: int, size: int
 ) -> list[tuple[Sample, Truth]]:
     """Return so many scenes of `count` subjects, always the same."""
-    subjects = _subjects(poses, kind)
+    subjects = load_subjects(poses, KINDS[kind])
     return [
         scene(
             subjects,
@@ -232,7 +221,6 @@ def scenes(
             frames=frames,
             views=views,
             noise_px=NOISE_PX,
-            joints=subjects.joints,
         )
         for k in range(size)
     ]
@@ -246,21 +234,15 @@ def _measure_pairs(cell: Cell, data: Data) -> Line:
     found, seconds = METHODS[cell.method](problems, models)
     # a method tells wall time; of it, the share that the processor worked for this process
     share = (time.process_time() - processor) / (time.perf_counter() - wall)
-    return _describe(judge(found, problems, truths)) | {"seconds": _brief(seconds * share)}
-
-
-def _describe(judged: Judged) -> Line:
-    return {
-        "rotation": [_brief(error) for error in judged.rotation],
-        "translation": [_brief(error) for error in judged.translation],
-        "matched": judged.matched,
-        "right": judged.right,
-    }
+    errors, matched, right = judge(found, problems, truths)
+    rotation, translation = ([_brief(error) for error in column] for column in errors.T)
+    counts = {"matched": matched, "right": right, "seconds": _brief(seconds * share)}
+    return {"rotation": rotation, "translation": translation, **counts}
 
 
 def _measure_networks(cell: Cell, data: Data) -> Line:
-    own, shared, completed = displacements(data.poses, KINDS[cell.what], cell.size)
-    return {"own": _brief(own), "shared": _brief(shared), "completed": _brief(completed)}
+    found = displacements(data.poses, KINDS[cell.what], cell.size)
+    return dict(zip(("own", "shared", "completed"), map(_brief, found), strict=True))
 
 
 def _measure_rigs(cell: Cell, data: Data) -> Line:

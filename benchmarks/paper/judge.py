@@ -1,7 +1,6 @@
 """Judge answers of the paper's protocol against the truth, which no method sees."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -15,23 +14,14 @@ from .scenes import Truth
 FAILED = 180.0  # degrees: what no answer counts as
 
 
-@dataclass(frozen=True)
-class Judged:
-    """Errors of rotation and translation `[pair]` in degrees; how many matches, and right ones.
-
-    Matches of detections that nobody knows do not count.
-    """
-
-    rotation: Floats
-    translation: Floats
-    matched: int
-    right: int
-
-
 def judge(
     found: Sequence[Found | None], problems: Sequence[Problem], truths: Sequence[Truth]
-) -> Judged:
-    """Compare answers, None where a method has none, with the truth."""
+) -> tuple[Floats, int, int]:
+    """Compare answers, None where a method has none, with the truth.
+
+    Returns E_R and E_t `[pair, 2]` in degrees, how many matches, and how many right ones; matches
+    of detections of unknown identity do not count.
+    """
     errors = np.full((len(problems), 2), FAILED)
     right = matched = 0
     for k, (one, problem, truth) in enumerate(zip(found, problems, truths, strict=True)):
@@ -43,7 +33,7 @@ def judge(
         known = (who_a >= 0) & (who_b >= 0)
         matched += int(known.sum())
         right += int((known & (who_a == who_b)).sum())
-    return Judged(errors[:, 0], errors[:, 1], matched, right)
+    return errors, matched, right
 
 
 def pair_errors(

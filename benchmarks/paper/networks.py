@@ -13,7 +13,6 @@ from pathlib import Path
 import torch
 
 from mocap_calib.recording.joints import load_section, load_skeleton
-from mocap_calib.training import TrainConfig
 from mocap_calib.training.model import Model, load_steerer, steer
 from mocap_calib.training.poses import load_poses
 from mocap_calib.training.synthesis import Batch, Synthesiser
@@ -31,7 +30,15 @@ def displacements(poses: Path, kind: Kind, steps: int) -> tuple[float, float, fl
     Of the shipped one without and with keypoint completion.
     """
     skeleton = load_skeleton(kind.model)
-    config = conditions(kind, steps)
+    config = replace(  # the paper's: 3 % noise, joints masked at random
+        training_config(load_section(kind.model, "training")),
+        steps=steps,
+        batch=128,
+        noise=(0.03, 0.03),
+        outliers=0.0,
+        joint_dropout=0.0,
+        occlusion=0.4,
+    )
     training, testing = (
         load_poses(poses / kind.file, skeleton, split, up=kind.up) for split in ("train", "test")
     )
@@ -46,20 +53,6 @@ def displacements(poses: Path, kind: Kind, steps: int) -> tuple[float, float, fl
     )
 
 
-def conditions(kind: Kind, steps: int) -> TrainConfig:
-    """Return the paper's: 3 % noise, joints masked at random."""
-    config = training_config(load_section(kind.model, "training"))
-    return replace(
-        config,
-        steps=steps,
-        batch=128,
-        noise=(0.03, 0.03),
-        outliers=0.0,
-        joint_dropout=0.0,
-        occlusion=0.4,
-    )
-
-
 @torch.no_grad()
 def _displaced(
     model: Model, batch: Batch, angle: torch.Tensor, *, completing: bool = False
@@ -67,23 +60,10 @@ def _displaced(
     """Return the mean displacement of the joints that the set has, turned by `angle [B, 1]`."""
     pose, seen = batch.pose, batch.seen
     if completing:
-        pose, seen = complete(model, pose, seen), torch.ones_like(seen)
+        # appendix D of the paper: joints that are not seen where the network expects them
+        predicted = steer(model, pose, seen, torch.zeros(len(pose), 3))  # (B, J, 2)
+        pose, seen = torch.where(seen[..., None], pose, predicted), torch.ones_like(seen)
     found = steer(model, pose, seen, angle * torch.tensor([0.0, 1.0, 0.0]))
-    return (found - turned(batch, angle)).norm(dim=-1).nanmean().item()
-
-
-@torch.no_grad()
-def complete(model: Model, pose: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
-    """Return poses `[B, J, 2]` with the joints that are not seen where the network expects them.
-
-    By no rotation: appendix D of the paper. pose: `[B, J, 2]` centred and scaled by
-    `model.normalise`; seen: `[B, J]` bool.
-    """
-    predicted = steer(model, pose, seen, torch.zeros(len(pose), 3))  # (B, J, 2)
-    return torch.where(seen[..., None], pose, predicted)
-
-
-def turned(batch: Batch, angle: torch.Tensor) -> torch.Tensor:
-    """Return `[B, J, 2]` what is seen of the bodies when they are turned by `angle [B, 1]`."""
     across = batch.target[..., 0] * angle.cos() + batch.target[..., 2] * angle.sin()
-    return torch.stack([across, batch.target[..., 1]], -1)
+    target = torch.stack([across, batch.target[..., 1]], -1)
+    return (found - target).norm(dim=-1).nanmean().item()

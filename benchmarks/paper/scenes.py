@@ -5,6 +5,7 @@ Held-out people and animals placed at random in a room, seen by random cameras, 
 
 import json
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +14,7 @@ import numpy as np
 from mocap_calib.geometry.lens import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
 from mocap_calib.recording.joints import load_skeleton, match_names
-from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Sample
+from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Sample, Skeleton
 
 SIZE = (1920, 1080)
 ROOM = 4.0  # metres, side of the square where subjects are
@@ -43,7 +44,7 @@ class Kind:
     file: str
     model: str
     up: str
-    keep: Literal["split", "last tenth", "first clip", "last clip", "all"]
+    keep: Literal["split", "last tenth", "last clip", "all"]
 
 
 # what the network of a kind was trained on is left out: see the model cards
@@ -58,39 +59,17 @@ KINDS = {
 }
 
 
+@dataclass(frozen=True)
 class Subjects:
-    """Return held-out poses of one kind by sequence, +z up.
+    """Held-out poses `[pose, joint, 3]` of one kind by sequence `[pose]`, +z up.
 
     All kinds are as large as people, so that 3 px are as much to each.
     """
 
-    def __init__(self, folder: Path, kind: Kind) -> None:
-        self.skeleton = load_skeleton(kind.model)
-        path = folder / kind.file
-        with np.load(path if path.is_file() else path / "poses3d.npz") as file:
-            fields = {
-                {"poses3d": "poses", "clip": "sequence"}.get(name, name): file[name]
-                for name in file.files
-            }
-        names = (
-            fields["joints"]
-            if "joints" in fields
-            else json.loads((path / "joints.json").read_text())["names"]
-        )
-        poses, sequence = fields["poses"].astype(np.float64), fields["sequence"]
-        keep = {
-            "split": lambda: fields["split"] == "test",
-            "last tenth": lambda: np.arange(len(poses)) * 10 // len(poses) == 9,
-            "first clip": lambda: sequence == sequence.min(),
-            "last clip": lambda: sequence == sequence.max(),
-            "all": lambda: np.ones(len(poses), dtype=bool),
-        }[kind.keep]()
-        found = match_names(tuple(str(name) for name in names), self.skeleton)
-        known = found >= 0
-        self.joints = tuple(self.skeleton.keypoints[k] for k in found[known])
-        self.own_names = tuple(str(name) for name, use in zip(names, known, strict=True) if use)
-        whole = keep & np.isfinite(poses[:, known]).all((1, 2))
-        self.poses, self.sequence = _standing(poses[whole][:, known], kind), sequence[whole]
+    skeleton: Skeleton
+    joints: tuple[str, ...]
+    poses: Floats
+    sequence: Ints
 
     def draw(self, rng: np.random.Generator, count: int, frames: int) -> Floats:
         """Return `[frame, subject, joint, 3]` positions.
@@ -107,6 +86,30 @@ class Subjects:
         for frame in out:
             frame[..., :2] += _places(rng, count)[:, None]
         return out
+
+
+@cache
+def load_subjects(folder: Path, kind: Kind) -> Subjects:
+    """Return the subjects of a kind whose set of poses lies in a folder."""
+    skeleton, path = load_skeleton(kind.model), folder / kind.file
+    with np.load(path if path.is_file() else path / "poses3d.npz") as file:
+        fields = dict(file)
+    names = fields.get("joints")
+    if names is None:
+        names = json.loads((path / "joints.json").read_text())["names"]
+    poses = fields["poses" if "poses" in fields else "poses3d"].astype(np.float64)
+    sequence = fields["sequence" if "sequence" in fields else "clip"]
+    keep = {
+        "split": lambda: fields["split"] == "test",
+        "last tenth": lambda: np.arange(len(poses)) * 10 // len(poses) == 9,
+        "last clip": lambda: sequence == sequence.max(),
+        "all": lambda: np.ones(len(poses), dtype=bool),
+    }[kind.keep]()
+    found = match_names(tuple(map(str, names)), skeleton)
+    known = found >= 0
+    whole = keep & np.isfinite(poses[:, known]).all((1, 2))
+    joints = tuple(skeleton.keypoints[k] for k in found[known])
+    return Subjects(skeleton, joints, _standing(poses[whole][:, known], kind), sequence[whole])
 
 
 def _standing(poses: Floats, kind: Kind) -> Floats:
@@ -167,21 +170,18 @@ def scene(
     frames: int,
     views: int,
     noise_px: float,
-    joints: tuple[str, ...],
 ) -> tuple[Sample, Truth]:
     """Return a recording of `count` subjects in their first `frames` moments, and its truth.
 
-    Detections are in random order.
-
-    joints: those that the detector gives; detections outside of the image are missing.
+    Detections are in random order; those outside of the image are missing.
     """
+    joints = subjects.joints
     bodies = subjects.draw(rng, count, frames)
     rig = random_rig(rng, views)
-    columns = np.array([subjects.joints.index(name) for name in joints])
-    positions = np.full((views, frames, count, len(columns), 2), np.nan)
+    positions = np.full((views, frames, count, len(joints), 2), np.nan)
     ids = np.zeros((views, frames, count), dtype=np.int64)
     for view in range(views):
-        pixels, inside, order = shuffled_view(rng, rig, view, bodies[:, :, columns], noise_px)
+        pixels, inside, order = shuffled_view(rng, rig, view, bodies, noise_px)
         inside &= inside.sum(-1, keepdims=True) >= 4
         positions[view] = np.where(inside[..., None], pixels, np.nan)
         ids[view] = np.where(inside.any(-1), order, -1)
