@@ -18,7 +18,7 @@ from mocap_calib.errors import count
 from mocap_calib.io.provenance import advice_on
 from mocap_calib.io.results.group import REVERSED_RIG
 from mocap_calib.types import ARBITRARY
-from mocap_calib_cli.screen import Line, Reporter, Table, format_number
+from mocap_calib_cli.screen import Line, Reporter, Table, format_length, format_number
 from mocap_calib_cli.typed import Typed
 
 _MOST_PAIRS = 6  # that are named in a line
@@ -30,15 +30,13 @@ STYLES = {
     "weak": "bold yellow",
     _USELESS: "bold red",
 }
-_NEXT = "bold"
 _NOT_SCALED = (
-    "lengths are arbitrary: one that is known sets the scale (--height, --length, "
-    "--camera-distance; afterwards `mocap-calib scale`)"
+    "no scale is set: give a known length (--height, --length, --camera-distance), or use "
+    "`mocap-calib scale` afterwards"
 )
 _UNIT_OF_FILE = (
-    "lengths are arbitrary, as the file of the world does not say its unit: `mocap-calib convert "
-    "FILE NEW --input-unit m` writes it down; a known length (--height, --length, "
-    "--camera-distance) says another"
+    "no scale is set, as the file of the world has no unit: give it one by `mocap-calib convert "
+    "FILE NEW --input-unit m`, or give a known length (--height, --length, --camera-distance)"
 )
 _UNMET = ("axes_unmet", "scale_unmet")
 
@@ -67,11 +65,10 @@ def exit_status(verdict: str, typed: Typed) -> int:
 
 def conclude(
     reporter: Reporter,
-    verdict: str,
+    verdict: Mapping[str, Any],
     place: object,
     typed: Typed,
     *,
-    reasons: Sequence[str] = (),
     counts: bool = True,
     next_step: str = "",
 ) -> None:
@@ -79,25 +76,25 @@ def conclude(
 
     A doubtful verdict is a warning, which --quiet leaves with its reasons.
 
-    place: where the files are. reasons: for the verdict, of which the first is the most urgent.
+    verdict: as `run_report` has it. place: where the files are.
     counts: the exit status follows from this verdict. next_step: where there are no reasons.
     """
-    line = f"{place}: rig {verdict}{advice_on(verdict)}"
-    if verdict in _DOUBTFUL:
+    word, reasons = verdict["rig"], verdict["reasons"]
+    line = f"{place}: rig {word}{advice_on(word)}"
+    if word in _DOUBTFUL:
         line = f"mocap-calib: {line}"
-        if counts and exit_status(verdict, typed):
+        if counts and exit_status(word, typed):
             remedy = "leave out --strict" if typed.strict else "say --accept not-determined"
             line += f"; all files are written, and the exit status is 1: {remedy} if they will do"
         if typed.quiet:
             reporter.warn(line, *(f"  {reason}" for reason in reasons))
-    reporter.show(Line(line, STYLES[verdict]), *explain(reasons, next_step))
+    reporter.show(Line(line, STYLES[word]), *explain(reasons, next_step))
 
 
 def explain(reasons: Sequence[str], next_step: str = "") -> list[Line]:
     """Return the reasons for a verdict, a line each, the most urgent first; else the next step."""
-    if not reasons:
-        return [Line(f"next: {next_step}", _NEXT)] if next_step else []
-    return [Line(f"  {reason}", "" if place else _NEXT) for place, reason in enumerate(reasons)]
+    lines = [f"  {reason}" for reason in reasons] or [f"next: {next_step}"] * bool(next_step)
+    return [Line(line, "" if place else "bold") for place, line in enumerate(lines)]
 
 
 # --- the cameras of a group
@@ -108,38 +105,37 @@ def camera_table(report: dict[str, Any]) -> Table:
 
     report: what `run_report` returns.
     """
-    cameras = report["cameras"]
-    errors = [camera["reprojection_error_px"]["median"] for camera in cameras]
-    columns = {
-        "camera": [camera["name"] for camera in cameras],
-        "detections": [str(camera["detections"]) for camera in cameras],
-        "matched": [str(camera["matched"]) for camera in cameras],
-        "error px": [format_number(error) for error in errors],
-        "sigma deg": [format_number(camera["rotation_sigma_deg"]) for camera in cameras],
-        "sigma %": [format_number(camera["centre_sigma_percent"]) for camera in cameras],
+    rows = [_camera_row(camera, report["unit"]) for camera in report["cameras"]]
+    unused = {f"sigma {ARBITRARY}"}
+    if all(camera["intrinsics"]["source"] == "given" for camera in report["cameras"]):
+        unused.add("focal px")
+    header = [name for name in rows[0] if name not in unused]
+    return Table(header, [[row[name] for name in header] for row in rows], "faults")
+
+
+def _camera_row(camera: dict[str, Any], unit: str) -> dict[str, str]:
+    """Return the cells of a camera by the headers of their columns."""
+    clock = camera["clock"]
+    return {
+        "camera": camera["name"],
+        "detections": str(camera["detections"]),
+        "matched": str(camera["matched"]),
+        "error px": format_number(camera["reprojection_error_px"]["median"]),
+        "sigma deg": format_number(camera["rotation_sigma_deg"]),
+        "sigma %": format_number(camera["centre_sigma_percent"]),
+        f"sigma {unit}": format_length(camera["centre_sigma"]),
+        "clock": f"{clock['subframe_offset']:+.2f}" if clock["used"] else "-",
+        "focal px": _focal(camera["intrinsics"]),
+        "faults": ", ".join(_faults(camera)) or "-",
     }
-    if report["unit"] != ARBITRARY:
-        lengths = [f"{camera['centre_sigma']:.2g}" for camera in cameras]
-        columns[f"sigma {report['unit']}"] = lengths
-    columns["clock"] = [_frames_late(camera["clock"]) for camera in cameras]
-    if any(camera["intrinsics"]["source"] != "given" for camera in cameras):
-        columns["focal px"] = [_focal(camera["intrinsics"]) for camera in cameras]
-    columns["faults"] = [", ".join(_faults(camera)) or "-" for camera in cameras]
-    return Table(tuple(columns), tuple(zip(*columns.values(), strict=True)), "faults")
-
-
-def _frames_late(clock: dict[str, Any]) -> str:
-    """Return by what part of a frame a clock is late, a dash where that was not used."""
-    return f"{clock['subframe_offset']:+.2f}" if clock["used"] else "-"
 
 
 def _focal(found: dict[str, Any]) -> str:
     """Return a focal length with its standard deviation, a dash where it is as given."""
     if found["source"] == "given":
         return "-"
-    sigma = format_number(found["focal_sigma_px"], 0)
     known = "" if found["source"] == "estimated" else " ?"
-    return f"{found['focal_px']:.0f} +- {sigma}{known}"
+    return f"{found['focal_px']:.0f} +- {format_number(found['focal_sigma_px'], 0)}{known}"
 
 
 def _faults(camera: dict[str, Any]) -> list[str]:
@@ -172,28 +168,27 @@ def describe_rig(report: dict[str, Any]) -> list[str]:
 
     report: what `run_report` returns.
     """
-    turn, shift = (report["verdict"][key] for key in ("rotation_sigma_deg", "centre_sigma_percent"))
+    cameras, verdict = report["cameras"], report["verdict"]
+    turn, shift = verdict["rotation_sigma_deg"], verdict["centre_sigma_percent"]
     lines = [
-        f"rotations are uncertain by {turn['median']:.2f} deg (worst camera {turn['max']:.2f}), "
-        f"places by {shift['median']:.1f} % of the rig ({shift['max']:.1f}), a standard deviation "
-        "each"
+        f"camera uncertainty (1 SD): {turn['median']:.2f} deg, worst {turn['max']:.2f}; "
+        f"{shift['median']:.1f} % of the rig size, worst {shift['max']:.1f}"
     ]
-    if len(report["cameras"]) > 2:
-        worst = report["verdict"]["least_sure_pair"]
+    if len(cameras) > 2:
+        worst = verdict["least_sure_pair"]
         lines.append(
-            f"least sure pair: {worst['a']} and {worst['b']}; the rotation between them is "
-            f"uncertain by {worst['rotation_sigma_deg']:.2f} deg, the way between them by "
-            f"{worst['centre_sigma_percent']:.1f} % of the rig"
+            f"least sure pair: {worst['a']} and {worst['b']}, rotation "
+            f"+-{worst['rotation_sigma_deg']:.2f} deg, baseline "
+            f"+-{worst['centre_sigma_percent']:.1f} % of the rig size"
         )
-    if any(camera["intrinsics"]["source"] == "not determined" for camera in report["cameras"]):
+    if any(camera["intrinsics"]["source"] == "not determined" for camera in cameras):
         lines.append(
-            "focal lengths with a ? are not determined, and as given or assumed: give --cameras, "
-            "or record with three cameras or more from different heights and sides"
+            "focal lengths with a ? are not determined: give --cameras, or record with three "
+            "cameras or more from different heights and sides"
         )
-    if any(camera["weak_perspective"] for camera in report["cameras"]):
+    if any(camera["weak_perspective"] for camera in cameras):
         lines.append(
-            "weak perspective, translation not observable: so far away or of such long focal "
-            "length that images show no perspective; distances follow from the focal lengths alone"
+            "weak perspective: images show none, and distances follow from focal lengths alone"
         )
     return lines
 
@@ -203,11 +198,9 @@ def _describe_mended(report: dict[str, Any]) -> list[str]:
     lines = []
     for camera in report["cameras"]:
         for fault in camera["fault_evidence"].values():
-            line = f"{camera['name']}: {fault['says']}"
-            if fault["mended"]:
-                line += f"; mended for this run: {fault['advice']}"
-                line += f", or say {fault['option']}" if fault["option"] else ""
-            lines.append(line)
+            own = f", or say {fault['option']}" if fault["option"] else ""
+            done = f"; mended for this run: {fault['advice']}{own}" if fault["mended"] else ""
+            lines.append(f"{camera['name']}: {fault['says']}{done}")
     return lines
 
 
@@ -223,43 +216,35 @@ def _describe_clocks(report: dict[str, Any]) -> list[str]:
 
 
 def _describe_pairs(report: dict[str, Any]) -> list[str]:
-    """Say which pairs do not go together with the others."""
+    """Say which pairs do not go together with the others, the first few by name."""
     contradict = [
         f"{pair['a']}-{pair['b']} by {pair['loop_rotation_deg']:.1f} deg"
         for pair in report["pairs"]
         if pair["breaks_loop"]
     ]
-    if not contradict:
-        return []
-    return [
-        f"pairs that contradict the others and were given little weight: {_name_some(contradict)}"
-    ]
-
-
-def _name_some(names: list[str]) -> str:
-    """Return names with commas between them, the number of what is too much for a line."""
-    further = len(names) - _MOST_PAIRS
-    return ", ".join(names[:_MOST_PAIRS]) + (f" and {further} more" if further > 0 else "")
+    further = len(contradict) - _MOST_PAIRS
+    more = f" and {further} more" if further > 0 else ""
+    named = ", ".join(contradict[:_MOST_PAIRS])
+    line = f"pairs that contradict the others and were given little weight: {named}{more}"
+    return [line] if contradict else []
 
 
 def _describe_epochs(report: dict[str, Any], folder: Path) -> list[str]:
     """Say where the rig of each part of the recording is, where a camera was moved."""
-    epochs = report["epochs"]
-    if len(epochs) == 1:
-        return []
     places = [
         f"frames {epoch['first']} to {epoch['last']} in {folder / epoch['folder']}"
-        for epoch in epochs
+        for epoch in report["epochs"]
     ]
-    return [f"{len(epochs)} rigs, as cameras were moved: {', '.join(places)}"]
+    line = f"{len(places)} rigs, as cameras were moved: {', '.join(places)}"
+    return [line] if len(places) > 1 else []
 
 
 def _describe_results(report: dict[str, Any], folder: Path) -> str:
     """Say how much was found, and where it is."""
     counts = [individual["frames"] for individual in report["individuals"]] or [0]
-    frames = str(min(counts)) if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
     line = (
-        f"{count(len(report['individuals']), 'individual')} in {frames} of "
+        f"{count(len(report['individuals']), 'individual')} in "
+        f"{' to '.join(map(str, sorted({min(counts), max(counts)})))} of "
         f"{count(report['frames']['count'], 'frame')}, "
         f"{count(report['points']['triangulated'], 'point')}; results in {folder}"
     )
@@ -279,13 +264,19 @@ def describe_world(world: Mapping[str, Any]) -> list[str]:
     said = [*world["remarks"], _describe_unit(world)]
     if world["kind"] == "floor":
         said.insert(0, "z is up, the origin is on the floor")
-    unmet = [f"not as asked for: {world[key]}" for key in _UNMET if world[key]]
-    details = [
-        *unmet,
-        *map(_describe_cue, world["cues"]),
-        *map(_describe_landmark, world["landmarks"]),
-    ]
-    return [f"world: {'; '.join(said)}", *(f"  {line}" for line in details)]
+    lines = [f"world: {'; '.join(said)}"]
+    lines += [f"  not as asked for: {world[key]}" for key in _UNMET if world[key]]
+    for cue in world["cues"]:
+        lines.append(f"  {cue['cue']}: {cue['metres']:g} m")
+        if cue["residual"] is not None:  # of a single cue there is nothing to compare
+            residual = f"{cue['residual']:+.1f} sigma"
+            lines[-1] += f", {cue['measured']:.4g} m by all cues ({residual})"
+    for landmark in world["landmarks"]:
+        away = landmark["distance_m"]
+        unused = "not used, two cameras that agree on it are needed"
+        place = unused if away is None else f"{1e3 * away:.0f} mm from its place"
+        lines.append(f"  landmark {landmark['name']}: {place}")
+    return lines
 
 
 def _describe_unit(world: Mapping[str, Any]) -> str:
@@ -295,21 +286,3 @@ def _describe_unit(world: Mapping[str, Any]) -> str:
     sigma = world["scale_sigma_percent"]
     sure = "" if sigma is None else f", uncertain by {sigma:.1f} %, a standard deviation"
     return f"lengths are in {world['unit']}{sure}"
-
-
-def _describe_cue(cue: Mapping[str, Any]) -> str:
-    """Return what a known length is by all of them; of a single one there is nothing to compare."""
-    if cue["residual"] is None:
-        return f"{cue['cue']}: {cue['metres']:g} m"
-    return (
-        f"{cue['cue']}: {cue['metres']:g} m, {cue['measured']:.4g} m by all cues "
-        f"({cue['residual']:+.1f} sigma)"
-    )
-
-
-def _describe_landmark(landmark: Mapping[str, Any]) -> str:
-    """Return how far a landmark is from its place."""
-    away = landmark["distance_m"]
-    if away is None:
-        return f"landmark {landmark['name']}: not used, two cameras that agree on it are needed"
-    return f"landmark {landmark['name']}: {1e3 * away:.0f} mm from its place"

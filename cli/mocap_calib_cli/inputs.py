@@ -39,7 +39,6 @@ from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
 from mocap_calib.job.steps import CalibrationRequest
 from mocap_calib.recording.corrections import Exchanged, Mirrored, Moved, Resized, Rotated, Sides
-from mocap_calib.results import Matches
 from mocap_calib.types import ARBITRARY, CameraRig, Ints, Recording
 from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.names import WORLD
@@ -128,7 +127,7 @@ def calibration_request(typed: Typed, output: Path) -> CalibrationRequest:
         raise click.UsageError(error.render(spell_as_option)) from None
     return CalibrationRequest(
         keypoints=keypoint_source(typed),
-        cameras=_intrinsics_source(typed.cameras),
+        cameras=open_input(typed.cameras, "--cameras") if typed.cameras else None,
         output=output,
         pair_solver=typed.solver,
         seed=typed.seed,
@@ -165,11 +164,12 @@ def _intrinsics_config(typed: Typed) -> IntrinsicsConfig:
             "--refine none: expected intrinsics that stay as they are, found none; "
             "give --cameras, or leave it out"
         )
-    if refine == "none" and (typed.focal_uncertainty or typed.focal_per_camera):
-        option = "--focal-uncertainty" if typed.focal_uncertainty else "--focal-per-camera"
-        raise click.UsageError(
-            f"{option}: expected focal lengths that are estimated, found none; say --refine focal"
-        )
+    for option in ("focal-uncertainty", "focal-per-camera"):
+        if refine == "none" and getattr(typed, option.replace("-", "_")):
+            raise click.UsageError(
+                f"--{option}: expected focal lengths that are estimated, found none; "
+                "say --refine focal"
+            )
     return IntrinsicsConfig(
         refine=refine,
         focal_uncertainty=typed.focal_uncertainty or IntrinsicsConfig.focal_uncertainty,
@@ -206,13 +206,6 @@ def world_config(typed: Typed) -> WorldConfig:
     return replace(config, axes=WorldConfig.axes, cameras=cameras, unit=rig.unit)
 
 
-def _intrinsics_source(cameras: str) -> Path | bytes | None:
-    """Return the file of the intrinsics, or its content on stdin; None where there is none."""
-    if cameras == STDIO:
-        return read_stdin("--cameras").encode()
-    return Path(cameras) if cameras else None
-
-
 def read_recording(
     typed: Typed, cameras: CameraFile, reporter: Reporter, *, of_rig: bool = False
 ) -> LoadedRecording:
@@ -228,36 +221,28 @@ def read_recording(
     return loaded
 
 
-def read_recording_of_rig(typed: Typed, reporter: Reporter) -> tuple[CameraRig, LoadedRecording]:
-    """Read a rig and the keypoints of its cameras; the rig has those with keypoints alone.
-
-    They are put on one clock, where the rig says that those of its cameras differ. Where a camera
-    was moved, the recording has the frames alone for which the rig holds.
-
-    Raises FormatError and MismatchError.
-    """
-    given, file = read_rig(typed.rig, "--rig")
-    rig, loaded = read_recording_of(given, file, typed, reporter)
-    held = _frames_of_rig(loaded.recording, file, reporter)
-    return rig, replace(loaded, recording=loaded.recording.select(frames=held))
-
-
-def read_matched_recording(
+def read_recording_of_rig(
     typed: Typed, reporter: Reporter
-) -> tuple[CameraRig, LoadedRecording, Matches, list[int] | None]:
-    """Read a rig, the keypoints of its cameras, and identities; see `read_recording_of_rig`.
+) -> tuple[CameraRig, LoadedRecording, Any, list[int] | None]:
+    """Read a rig, the keypoints of its cameras, and identities where these are given.
 
-    Returns also the first and the last frame that the rig holds for, None = all.
+    The rig has the cameras with keypoints alone. They are put on one clock, where the rig says that
+    those of its cameras differ. Where a camera was moved, the recording has the frames alone for
+    which the rig holds: the first and the last of them are returned too, None = all.
 
-    Raises FormatError and MismatchError.
+    Returns rig, recording, identities (`Matches`, or None) and these frames. Raises FormatError and
+    MismatchError.
     """
     given, file = read_rig(typed.rig, "--rig")
     rig, loaded = read_recording_of(given, file, typed, reporter)
-    source = read_stdin("--matches") if typed.matches == STDIO else Path(typed.matches)
-    matches = read_matches_csv(source, loaded.recording, loaded.clocks)
-    held = _frames_of_rig(loaded.recording, file, reporter)
-    part = replace(loaded, recording=loaded.recording.select(frames=held))
-    return rig, part, matches.select(frames=held), file.judgement.get("frames")
+    recording, matches = loaded.recording, None
+    held = _frames_of_rig(recording, file, reporter)
+    if typed.matches:
+        source = open_input(typed.matches, "--matches")
+        text = source if isinstance(source, Path) else source.decode()
+        matches = read_matches_csv(text, recording, loaded.clocks).select(frames=held)
+    loaded = replace(loaded, recording=recording.select(frames=held))
+    return rig, loaded, matches, file.judgement.get("frames")
 
 
 def read_recording_of(
@@ -296,11 +281,25 @@ def _frames_of_rig(recording: Recording, file: CameraFile, reporter: Reporter) -
 # --- cameras, and stdin
 
 
+def open_input(path: str, option: str) -> Path | bytes:
+    """Return the file or folder that an option names, or the content of stdin.
+
+    Raises click's UsageError where another option has read it.
+    """
+    if path != STDIO:
+        return Path(path)
+    meta = click.get_current_context().meta
+    if "stdin" in meta:
+        raise click.UsageError(
+            f"{meta['stdin']} and {option} cannot both come from stdin; give a file for one of them"
+        )
+    meta["stdin"] = option
+    return decode(sys.stdin.buffer.read(), "stdin").encode()
+
+
 def load_camera_file(path: str, option: str) -> CameraFile:
     """Return what a file, a folder or stdin says of cameras. Raises FormatError."""
-    if path == STDIO:
-        return load_cameras(read_stdin(option).encode())
-    return load_cameras(Path(path))
+    return load_cameras(open_input(path, option))
 
 
 def read_rig(path: str, option: str) -> tuple[CameraRig, CameraFile]:
@@ -310,14 +309,3 @@ def read_rig(path: str, option: str) -> tuple[CameraRig, CameraFile]:
     """
     found = load_camera_file(path, option)
     return make_rig(found, "stdin" if path == STDIO else path), found
-
-
-def read_stdin(what: str) -> str:
-    """Return all of stdin, for one input of the command."""
-    meta = click.get_current_context().meta
-    if "stdin" in meta:
-        raise click.UsageError(
-            f"{meta['stdin']} and {what} cannot both come from stdin; give a file for one of them"
-        )
-    meta["stdin"] = what
-    return decode(sys.stdin.buffer.read(), "stdin")

@@ -7,46 +7,33 @@ import click
 
 
 class Number(click.FloatRange):
-    """A number within bounds; infinity and NaN are none."""
+    """A number within bounds; infinity and NaN are none. whole: a whole number."""
 
-    name = "number"
+    def __init__(self, *, whole: bool = False, **bounds: Any) -> None:
+        super().__init__(**bounds)
+        self.name = "integer" if whole else "number"
+        self.read: type[int | float] = int if whole else float
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the number. Raises click's BadParameter."""
         try:
-            number = super().convert(value, param, ctx)
-        except click.BadParameter:
-            number = math.nan
-        if not math.isfinite(number):
-            self.fail(f"expected a number{_describe_bounds(self)}, found {value}", param, ctx)
+            number = self.read(value)
+            if not math.isfinite(super().convert(number, param, ctx)):
+                raise ValueError(value)
+        except (ValueError, OverflowError, click.BadParameter):
+            kind = "a whole number" if self.read is int else "a number"
+            self.fail(f"expected {kind}{self._describe_bounds()}, found {value}", param, ctx)
         return number
 
-
-class WholeNumber(click.IntRange):
-    """A whole number within bounds."""
-
-    name = "integer"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Return the number. Raises click's BadParameter."""
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter:
-            bounds = _describe_bounds(self)
-            self.fail(f"expected a whole number{bounds}, found {value}", param, ctx)
+    def _describe_bounds(self) -> str:
+        """Return what the bounds are, in words."""
+        if self.max is not None:
+            return f" from {self.min:g} to {self.max:g}"
+        return f" above {self.min:g}" if self.min_open else f" of {self.min:g} or more"
 
 
-def _describe_bounds(kind: click.IntRange | click.FloatRange) -> str:
-    """Return what the bounds of a number are, in words."""
-    if kind.max is not None:
-        return f" from {kind.min:g} to {kind.max:g}"
-    return f" above {kind.min:g}" if kind.min_open else f" of {kind.min:g} or more"
-
-
-COUNT = WholeNumber(min=1)
-SEED = WholeNumber(min=0)
+COUNT = Number(whole=True, min=1)
+SEED = Number(whole=True, min=0)
 SHARE = Number(min=0, max=1)
 NOT_NEGATIVE = Number(min=0)
 POSITIVE = Number(min=0, min_open=True)

@@ -213,7 +213,12 @@ _ALL: tuple[click.Parameter, ...] = (
     option("--seed", numbers.SEED, default=0),
     option("--scheduler", click.STRING, metavar="ADDRESS"),
     option("--sync", SYNC_MODES, default=SyncConfig.mode),
-    option("--sync-window", click.IntRange(min=1), default=SyncConfig.window, metavar="FRAMES"),
+    option(
+        "--sync-window",
+        numbers.Number(whole=True, min=1),
+        default=SyncConfig.window,
+        metavar="FRAMES",
+    ),
     option("--world", names.WORLD, default=WorldConfig.axes),
     option("--height", values.HEIGHT, multiple=True),
     option("--length", values.LENGTH, multiple=True),

@@ -5,10 +5,8 @@ rich draws what a terminal shows. It takes 0.03 s to import, and is not where no
 
 import sys
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import click
 
@@ -16,105 +14,86 @@ from mocap_calib.errors import count
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
-    from rich.table import Table as RichTable
 
 _NUMBER = tuple("+-0123456789")  # what a number, or the dash in its place, begins with
 _BAR_AFTER = 1.0  # seconds before a stage gets a bar
 _LINE_AFTER = 30.0  # seconds without a line where stderr is no terminal
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """Rows of cells below a header; alarming: the header of a column that says what is wrong."""
 
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
     alarming: str = ""
 
+    @property
+    def numeric(self) -> list[bool]:
+        """Which columns hold numbers, and dashes where there is none; never the first one."""
+        columns = zip(*self.rows, strict=True) if self.rows else ()
+        found = [all(cell.startswith(_NUMBER) for cell in cells) for cells in columns]
+        return [False, *(found[1:] or [True] * (len(self.header) - 1))]
 
-@dataclass(frozen=True)
-class Line:
+
+class Line(NamedTuple):
     """A line of text, and the colour in which a terminal shows it (a style of rich)."""
 
     text: str
     style: str = ""
 
 
-Shown = Table | Line
-
-
-def show(*parts: Shown, err: bool) -> None:
+def show(*parts: Table | Line, err: bool) -> None:
     """Write tables and lines to stdout, or to stderr where `err`.
 
-    On a terminal rich wraps cells to its width, and heeds NO_COLOR.
+    On a terminal rich wraps cells to its width, and heeds NO_COLOR. Names are text, whatever
+    brackets they have.
     """
     if not (sys.stderr if err else sys.stdout).isatty():
         for part in parts:
-            lines = [part.text] if isinstance(part, Line) else format_table(part.header, part.rows)
-            click.echo("\n".join(lines), err=err)
+            text = part.text if isinstance(part, Line) else "\n".join(format_table(*part[:2]))
+            click.echo(text, err=err)
         return
     from rich.console import Console
+    from rich.table import Table as Drawn
     from rich.text import Text
 
     console = Console(stderr=err, highlight=False)
     for part in parts:
         if isinstance(part, Line):
             console.print(Text(part.text, part.style), soft_wrap=True)
-        else:
-            console.print(_rich_table(part))
+            continue
+        drawn = Drawn(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+        for name, number in zip(part.header, part.numeric, strict=True):
+            drawn.add_column(
+                name.replace(" ", "\n") if number else name,  # a unit below leaves room for names
+                justify="right" if number else "left",
+                no_wrap=number,
+                overflow="fold",
+                style="yellow" if name == part.alarming else "",
+            )
+        for row in part.rows:
+            drawn.add_row(*map(Text, row))
+        console.print(drawn)
 
 
-def _rich_table(table: Table) -> "RichTable":
-    """Return a table as rich draws it. Names are text, whatever brackets they have."""
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    drawn = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
-    numeric = _numeric_columns(table.rows, len(table.header))
-    for name, is_number in zip(table.header, numeric, strict=True):
-        drawn.add_column(
-            name.replace(" ", "\n") if is_number else name,  # a unit below leaves room for names
-            justify="right" if is_number else "left",
-            no_wrap=is_number,
-            overflow="fold",
-            style="yellow" if name == table.alarming else "",
-        )
-    for row in table.rows:
-        drawn.add_row(*map(Text, row))
-    return drawn
-
-
-def format_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return lines of aligned columns: numbers to the right, all else to the left.
-
-    The first column is never of numbers.
-    """
-    cells = [tuple(row) for row in rows]
-    table = [tuple(header), *cells]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    aligned = [
-        str.rjust if number else str.ljust for number in _numeric_columns(cells, len(header))
-    ]
-    columns = list(zip(aligned, widths, strict=True))
-    return [
-        "  ".join(
-            align(cell, width) for cell, (align, width) in zip(row, columns, strict=True)
-        ).rstrip()
-        for row in table
-    ]
-
-
-def _numeric_columns(rows: Sequence[Sequence[str]], columns: int) -> list[bool]:
-    """Return which columns hold numbers, and dashes where there is none."""
-    return [
-        index > 0 and all(row[index].startswith(_NUMBER) for row in rows)
-        for index in range(columns)
-    ]
+def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return lines of aligned columns: numbers to the right, all else to the left."""
+    numeric = Table(header, rows).numeric
+    columns = []
+    for number, cells in zip(numeric, zip(header, *rows, strict=True), strict=True):
+        align, width = str.rjust if number else str.ljust, max(map(len, cells))
+        columns.append([align(cell, width) for cell in cells])
+    return ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]
 
 
 def format_number(value: float | None, digits: int = 2) -> str:
     """Return a number for a table, a dash where there is none (None or NaN)."""
     return "-" if value is None or value != value else f"{value:.{digits}f}"  # noqa: PLR0124 - NaN
+
+
+def format_length(value: float | None) -> str:
+    """Return a length to two significant digits, a dash where there is none."""
+    return "-" if value is None else f"{value:.2g}"
 
 
 class Reporter:
@@ -143,7 +122,7 @@ class Reporter:
         for line in lines:
             click.echo(line, err=True)
 
-    def show(self, *parts: Shown) -> None:
+    def show(self, *parts: Table | Line) -> None:
         """Show tables and lines in colour on stderr, see `show`."""
         if not self.quiet:
             show(*parts, err=True)
@@ -170,10 +149,12 @@ class Reporter:
         if self.bar is None and time.monotonic() - self.start > _BAR_AFTER:
             self.bars = self.bars or _start_bars()
             self.bar = self.bars.add_task(self.stage)
+        self._update_bar(description=self.stage, completed=self.done, total=self.total)
+
+    def _update_bar(self, **values: Any) -> None:
+        """Change the bar of the stage, if it has one."""
         if self.bars is not None and self.bar is not None:
-            self.bars.update(
-                self.bar, description=self.stage, completed=self.done, total=self.total
-            )
+            self.bars.update(self.bar, **values)
 
     def _show_line(self) -> None:
         """Write a line on the stage if there was none for long, with the time that it takes yet."""
@@ -191,20 +172,14 @@ class Reporter:
             most = count(self.total, "step")
             few = f" (needed {self.done} of at most {most})" if self.done < self.total else ""
             self.say(f"{self.stage}: done in {now - self.start:.1f} s{few}")
-        if self.bars is not None and self.bar is not None:
-            self.bars.update(self.bar, completed=self.done, total=self.done)
+        self._update_bar(completed=self.done, total=self.done)
         self.stage, self.bar, self.start = "", None, now
 
     def __enter__(self) -> Self:
         self.start = time.monotonic()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
             self._finish_stage()
         if self.bars is not None:
@@ -217,11 +192,11 @@ def _start_bars() -> "Progress":
     from rich.console import Console
 
     bars = progress.Progress(
-        progress.TextColumn("{task.description}"),
+        "{task.description}",
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         progress.TimeElapsedColumn(),
-        progress.TextColumn("left:"),
+        "left:",
         progress.TimeRemainingColumn(),
         console=Console(stderr=True),
     )

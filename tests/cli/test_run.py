@@ -41,8 +41,8 @@ def test_stages_and_results_are_said_in_lines(done):
     assert re.search(r"^adjust: done in \d+\.\d s \(needed \d of at most \d+ steps\)$",
                      said.stderr, re.M)  # fmt: skip
     assert re.search(r"^pairwise: done in \d+\.\d s$", said.stderr, re.M)
-    assert re.search(r"^world: .*; lengths are arbitrary: one that is known", said.stderr, re.M)
-    assert re.search(r"^rotations are uncertain by 0\.\d\d deg|^camera unc", said.stderr, re.M)
+    assert re.search(r"^world: .*; no scale is set: give a known length", said.stderr, re.M)
+    assert re.search(r"^camera uncertainty \(1 SD\): 0\.\d\d deg, worst ", said.stderr, re.M)
 
 
 def test_run_calibrates_and_evaluate_says_so(done, small, tool):

@@ -2,7 +2,7 @@
 
 import json
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +17,7 @@ if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
     from mocap_calib.compute.parallel import Processes
     from mocap_calib.job.steps import CalibrationRequest, Job
-    from mocap_calib.results import CalibrationResult
     from mocap_calib_cli.screen import Reporter, Table
-
-    Calibrate = Callable[[Job], CalibrationResult]
-    # a recording, and a call that returns its result or raises what calibrating it raised
-    Calibrated = Iterator[tuple[Job, Callable[[], CalibrationResult]]]
 
 Outcome = dict[str, Any]
 
@@ -66,6 +61,7 @@ def command(typed: Typed) -> int:
     jobs: Recordings at a time, in processes of this machine.
     as_json: Write the summary to stdout.
     """
+    from mocap_calib.errors import count
     from mocap_calib_cli import ending, outputs
     from mocap_calib_cli.screen import Reporter
     from mocap_calib_cli.workers import open_workers
@@ -82,20 +78,20 @@ def command(typed: Typed) -> int:
         Reporter(quiet=typed.quiet) as reporter,
         open_workers(reporter, scheduler=typed.scheduler, processes=processes) as workers,
     ):
-        batch = _Batch(reporter, len(requests), typed)
-        batch.work_off(requests, workers)
-    outcomes = [batch.outcomes[request.output.name] for request in requests]
-    failed = sum(outcome["status"] == "failed" for outcome in outcomes)
+        found = _Batch(reporter, len(requests), typed).work_off(requests, workers)
+    outcomes = [found[request.output.name] for request in requests]
     counts = _count_verdicts(outcomes)
+    failed = sum(outcome["status"] == "failed" for outcome in outcomes)
+    verdicts = ", ".join(f"{number} {word}" for word, number in counts.items() if number)
+    calibrated = f"{len(outcomes) - failed} of {count(len(outcomes), 'recording')} calibrated"
     reporter.say("")
     reporter.show(_outcome_table(outcomes))
-    summary = _describe_counts(counts, total=len(outcomes), failed=failed)
+    summary = f"{calibrated}: {verdicts}" if verdicts else calibrated
     reporter.say(f"{summary}; results in {typed.output}")
     if typed.as_json:
         document = {"recordings": outcomes, "failed": failed, "verdicts": counts}
         click.echo(json.dumps(document, indent=1, allow_nan=False))
-    doubtful = any(ending.exit_status(outcome["rig"], typed) for outcome in outcomes)
-    return int(doubtful or any(outcome["error"] for outcome in outcomes))
+    return int(any(each["error"] or ending.exit_status(each["rig"], typed) for each in outcomes))
 
 
 # --- which recordings there are, and the options that each has for itself
@@ -147,49 +143,50 @@ class _Batch:
     """Calibrates recordings, and keeps what has become of each."""
 
     def __init__(self, reporter: "Reporter", total: int, typed: Typed) -> None:
-        self.reporter = reporter
-        self.total = total
-        self.typed = typed
+        self.reporter, self.total, self.typed = reporter, total, typed
         self.outcomes: dict[str, Outcome] = {}
 
     def work_off(
-        self,
-        requests: "Iterable[CalibrationRequest]",
-        workers: "Cluster | Processes | None",
-    ) -> None:
-        """Calibrate what is not finished; a failure is one recording's own."""
+        self, requests: "Iterable[CalibrationRequest]", workers: "Cluster | Processes | None"
+    ) -> dict[str, Outcome]:
+        """Calibrate what is not finished; a failure is one recording's own.
+
+        Returns the outcomes by the names of the recordings.
+        """
         from mocap_calib.job.steps import calibrate_job, calibrate_job_resumably, write_results
 
         self.reporter("batch", 0, self.total)
         jobs = self._read_unfinished(requests)
         # the workers of a scheduler cannot reach the folder of results
         calibrate = calibrate_job if self.typed.scheduler else calibrate_job_resumably
-        if workers is None:
-            calibrated = _calibrate_one_by_one(calibrate, jobs)
-        else:
-            calibrated = workers.completed(calibrate, jobs)
-        for job, get_result in calibrated:
+        one_by_one = ((job, partial(calibrate, job)) for job in jobs)
+        for job, get_result in workers.completed(calibrate, jobs) if workers else one_by_one:
             try:
                 first = write_results(job, get_result())[0]
+                self._note_result(job.request, "done", first.report, first.complaint)
             except Exception as error:
                 self._note_failure(job.request, error)
-            else:
-                self._note_result(job.request, "done", first.report, first.complaint)
+        return self.outcomes
 
     def _read_unfinished(self, requests: "Iterable[CalibrationRequest]") -> "Iterator[Job]":
         """Read the recordings without results, one by one when they are asked for."""
+        from mocap_calib.errors import MismatchError
         from mocap_calib.job.results import complain
-        from mocap_calib.job.steps import find_finished
+        from mocap_calib.job.steps import find_finished, read_job
 
         for request in requests:
+            folder, job = request.keypoints.paths[0], None
             try:
-                report = find_finished(request)
-                job = None if report else _read(request)
+                if report := find_finished(request):
+                    self._note_result(request, "kept", report, complain(report, {}))
+                elif Path(folder).is_dir():
+                    job = read_job(request)
+                else:
+                    raise MismatchError(
+                        folder, "the folder of a recording", "none", "check the path"
+                    )
             except Exception as error:
                 self._note_failure(request, error)
-                continue
-            if report:
-                self._note_result(request, "kept", report, complain(report, {}))
             if job:
                 yield job
 
@@ -204,9 +201,7 @@ class _Batch:
         from mocap_calib.errors import count
         from mocap_calib_cli.ending import conclude
 
-        name = request.output.name
-        verdict = report["verdict"]
-        groups = len(report["groups"])
+        name, verdict, groups = request.output.name, report["verdict"], len(report["groups"])
         outcome = {
             "status": status,
             "error": complaint or None,
@@ -227,13 +222,7 @@ class _Batch:
                 f"{name}: {groups} groups of cameras that share too little, each calibrated by "
                 "itself; counted is the largest"
             )
-        conclude(
-            self.reporter,
-            verdict["rig"],
-            request.output,
-            self.typed,
-            reasons=verdict["reasons"],
-        )
+        conclude(self.reporter, verdict, request.output, self.typed)
         if complaint:
             click.echo(f"mocap-calib: {name}: {complaint}", err=True)
         self._note(request, outcome)
@@ -261,22 +250,6 @@ class _Batch:
         self.reporter("batch", len(self.outcomes), self.total)
 
 
-def _read(request: "CalibrationRequest") -> "Job":
-    """Read a recording. Raises FormatError, and MismatchError also where it is no folder."""
-    from mocap_calib.errors import MismatchError
-    from mocap_calib.job.steps import read_job
-
-    folder = request.keypoints.paths[0]
-    if not Path(folder).is_dir():
-        raise MismatchError(folder, "the folder of a recording", "none", "check the path")
-    return read_job(request)
-
-
-def _calibrate_one_by_one(function: "Calibrate", jobs: "Iterable[Job]") -> "Calibrated":
-    """Return each job with a call that does its work, here and now."""
-    return ((job, partial(function, job)) for job in jobs)
-
-
 def _outcome_table(outcomes: Iterable[Outcome]) -> "Table":
     """Return the outcomes as a table."""
     from mocap_calib_cli.screen import Table, format_number
@@ -287,7 +260,7 @@ def _outcome_table(outcomes: Iterable[Outcome]) -> "Table":
         counts = [str(outcome.get(name, "-")) for name in ("cameras", "individuals")]
         angle = format_number(outcome.get("rotation_sigma_deg"))
         rows.append((outcome["name"], outcome["status"], *counts, angle, outcome["rig"] or "-"))
-    return Table(header, tuple(rows))
+    return Table(header, rows)
 
 
 def _count_verdicts(outcomes: Iterable[Outcome]) -> dict[str, int]:
@@ -296,12 +269,3 @@ def _count_verdicts(outcomes: Iterable[Outcome]) -> dict[str, int]:
 
     found = [outcome["rig"] for outcome in outcomes]
     return {word: found.count(word) for word in (*VERDICTS, _REFUSED)}
-
-
-def _describe_counts(counts: dict[str, int], *, total: int, failed: int) -> str:
-    """Return how many recordings were calibrated, and the verdicts that there are, in a line."""
-    from mocap_calib.errors import count
-
-    calibrated = f"{total - failed} of {count(total, 'recording')} calibrated"
-    verdicts = [f"{number} {word}" for word, number in counts.items() if number]
-    return ": ".join([calibrated, ", ".join(verdicts)]) if verdicts else calibrated

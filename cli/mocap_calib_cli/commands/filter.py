@@ -26,7 +26,9 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
     option("--to", names.WRITTEN_FORMAT),
     option("--method", FILTER_METHODS, default=_DEFAULT.method),
     option("--cutoff", numbers.POSITIVE, default=_DEFAULT.cutoff, metavar="HZ"),
-    option("--order", click.IntRange(min=2), callback=_check_parity, default=_DEFAULT.order),
+    option(
+        "--order", numbers.Number(whole=True, min=2), callback=_check_parity, default=_DEFAULT.order
+    ),
     option(
         "--window",
         numbers.COUNT,

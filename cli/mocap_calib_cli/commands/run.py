@@ -133,10 +133,9 @@ def _say_groups(reporter: "Reporter", written: Sequence["WrittenGroup"], typed: 
             reporter.say(*describe.describe_refused(files))
         ending.conclude(
             reporter,
-            files.report["verdict"]["rig"],
+            files.report["verdict"],
             folder,
             typed,
-            reasons=files.report["verdict"]["reasons"],
             counts=number == 0,
             next_step=_NEXT_STEP.format(folder),
         )

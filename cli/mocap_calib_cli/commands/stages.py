@@ -79,11 +79,9 @@ def average(typed: Typed) -> None:
     from mocap_calib_cli.screen import Reporter
 
     outputs.check_text(typed.output)
-    if typed.pairs == STDIO:
-        pairs, cameras = pairs_from_json(inputs.read_stdin("PAIRS"), "stdin")
-    else:
-        text = decode(read_bytes(Path(typed.pairs)), typed.pairs)
-        pairs, cameras = pairs_from_json(text, typed.pairs)
+    source, name = inputs.open_input(typed.pairs, "PAIRS"), typed.pairs.replace(STDIO, "stdin")
+    content = read_bytes(source) if isinstance(source, Path) else source
+    pairs, cameras = pairs_from_json(decode(content, name), name)
     rig = average(pairs, cameras)
     left_out = [camera.name for camera in cameras if camera.name not in rig.names]
     Reporter(quiet=typed.quiet).say(*describe_unused_cameras(left_out))
@@ -119,7 +117,7 @@ def match(typed: Typed) -> None:
 
     outputs.check_text(typed.output)
     with Reporter(quiet=typed.quiet) as reporter:
-        rig, loaded = inputs.read_recording_of_rig(typed, reporter)
+        rig, loaded, _, _ = inputs.read_recording_of_rig(typed, reporter)
         config = Config(matching=MatchingConfig(individuals=typed.individuals))
         matches = match(
             loaded.recording, rig, config=config, device=typed.device, progress=reporter
@@ -164,7 +162,7 @@ def adjust(typed: Typed) -> int:
     outputs.check_text(typed.output)
     outputs.check_text(typed.matches_out)
     with Reporter(quiet=typed.quiet) as reporter:
-        rig, loaded, matches, frames = inputs.read_matched_recording(typed, reporter)
+        rig, loaded, matches, frames = inputs.read_recording_of_rig(typed, reporter)
         result, matches = bundle_adjust(
             loaded.recording, rig, matches, device=typed.device, progress=reporter
         )
@@ -182,7 +180,7 @@ def adjust(typed: Typed) -> int:
     reporter.show(ending.camera_table(report))
     reporter.say(*ending.describe_rig(report))
     place = "adjusted cameras" if typed.output == STDIO else typed.output
-    ending.conclude(reporter, group.verdict, place, typed, reasons=report["verdict"]["reasons"])
+    ending.conclude(reporter, report["verdict"], place, typed)
     return ending.exit_status(group.verdict, typed)
 
 
@@ -203,7 +201,7 @@ def triangulate(typed: Typed) -> None:
 
     outputs.check_poses(typed.output)
     with Reporter(quiet=typed.quiet) as reporter:
-        rig, loaded, matches, _ = inputs.read_matched_recording(typed, reporter)
+        rig, loaded, matches, _ = inputs.read_recording_of_rig(typed, reporter)
         outputs.check_individuals(typed.output, matches.individuals)
         poses = triangulate(loaded.recording, rig, matches, progress=reporter)
     outputs.write_poses(typed.output, poses, loaded.recording, "triangulate")
@@ -241,7 +239,7 @@ def smooth(typed: Typed) -> None:
     outputs.check_poses(typed.output)
     config = Config(poses=PosesConfig(smooth=typed.smooth))
     with Reporter(quiet=typed.quiet) as reporter:
-        rig, loaded, matches, _ = inputs.read_matched_recording(typed, reporter)
+        rig, loaded, matches, _ = inputs.read_recording_of_rig(typed, reporter)
         outputs.check_individuals(typed.output, matches.individuals)
         poses = smooth(loaded.recording, rig, matches, config, progress=reporter)
     outputs.write_poses(typed.output, poses, loaded.recording, "smooth")

@@ -37,7 +37,7 @@ _SIZES = (
     option("--batch", numbers.COUNT, default=_DEFAULT.batch),
     option(
         "--width",
-        numbers.WholeNumber(min=ENCODER_HEADS),
+        numbers.Number(whole=True, min=ENCODER_HEADS),
         default=_DEFAULT.width,
         callback=_check_width,
     ),

@@ -13,7 +13,7 @@ from mocap_calib_cli.typed import Typed, as_command
 if TYPE_CHECKING:
     from mocap_calib.results import Verification
     from mocap_calib.types import CameraRig
-    from mocap_calib_cli.screen import Shown, Table
+    from mocap_calib_cli.screen import Line, Table
 
 _CALIBRATION = values.PathOf(
     "Expected a calibration, then the keypoints to judge it by: CAMERAS KEYPOINTS..."
@@ -131,7 +131,7 @@ def _choose_format(output: str | None, target: str | None) -> str | None:
     return None if output is None else target or choose_format("cameras", output)
 
 
-def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
+def _describe(found: "Verification", absent: list[str]) -> "list[Table | Line]":
     """Return the cameras as a table, the verdict, and what to do."""
     from mocap_calib.faults.hypotheses import clock_faults
     from mocap_calib_cli.ending import STYLES, explain
@@ -149,25 +149,20 @@ def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
 
 def _camera_table(found: "Verification") -> "Table":
     """Return a table of the cameras: how far each is from where it is given, and its errors."""
-    from mocap_calib_cli.screen import Table, format_number
+    from mocap_calib.types import ARBITRARY
+    from mocap_calib_cli.screen import Table, format_length, format_number
 
-    unit = found.rig.unit
+    unit = "" if found.rig.unit == ARBITRARY else f" {found.rig.unit}"
     rows = []
     for camera in _figures(found)["cameras"]:
         share = camera["relative_shift"]
-        cells = [format_number(camera["turn_deg"]), format_number(camera["turn_sigma_deg"])]
-        cells.append(format_number(None if share is None else 100 * share))
-        cells += [_format_length(camera["shift"]), _format_length(camera["shift_sigma"])]
-        cells += [format_number(camera["error_px"]), format_number(camera["refitted_px"])]
+        angles = (camera["turn_deg"], camera["turn_sigma_deg"], share and 100 * share)
+        lengths = map(format_length, (camera["shift"], camera["shift_sigma"]))
+        errors = map(format_number, (camera["error_px"], camera["refitted_px"]))
+        cells = (*map(format_number, angles), *lengths, *errors)
         rows.append((camera["name"], *cells, camera["place"]))
-    lengths = [f"shift {unit}" if unit != "arbitrary" else "shift", "+-"]
-    header = ("camera", "turn deg", "+-", "shift %", *lengths, "error px", "refitted px", "place")
-    return Table(header, tuple(rows), "place")
-
-
-def _format_length(value: float | None) -> str:
-    """Return a length to two digits, a dash where there is none."""
-    return "-" if value is None else f"{value:.2g}"
+    header = ("camera", "turn deg", "+-", "shift %", f"shift{unit}", "+-", "error px")
+    return Table((*header, "refitted px", "place"), rows, "place")
 
 
 def _write(output: str, form: str, given: "CameraRig", found: "Verification") -> None:
@@ -184,20 +179,17 @@ def _write(output: str, form: str, given: "CameraRig", found: "Verification") ->
     lost = [camera.name for camera in found.cameras if camera.word == "inconsistent"]
     rig = _mend(given, found).select([name for name in given.names if name not in lost])
     notes = write_cameras(output, rig, form, provenance("verify", **found.provenance))
-    for note in notes:
+    for note in (*notes, *([f"{', '.join(lost)}, which nothing places"] if lost else [])):
         click.echo(f"{output}: without {note}", err=True)
-    if lost:
-        click.echo(f"{output}: without {', '.join(lost)}, which nothing places", err=True)
 
 
 def _mend(given: "CameraRig", found: "Verification") -> "CameraRig":
     """Return the rig of the file with the cameras that moved where they are now."""
-    rotation, translation, cameras = given.rotation.copy(), given.translation.copy(), []
-    for view, camera in enumerate(given.cameras):
-        moved = camera.name in found.named
-        pose = found.rig[camera.name] if moved else None
-        if pose is not None:
-            rotation[view], translation[view] = pose.rotation, pose.translation
-        focal = pose is not None and found[camera.name].word == "focal"
-        cameras.append(found.rig.cameras[found.rig.names.index(camera.name)] if focal else camera)
+    rotation, translation = given.rotation.copy(), given.translation.copy()
+    cameras = list(given.cameras)
+    for name in found.named:
+        view, pose = given.names.index(name), found.rig[name]
+        rotation[view], translation[view] = pose.rotation, pose.translation
+        if found[name].word == "focal":
+            (cameras[view],) = found.rig.select([name]).cameras
     return replace(given, cameras=tuple(cameras), rotation=rotation, translation=translation)
