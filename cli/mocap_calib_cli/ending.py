@@ -18,7 +18,7 @@ from mocap_calib.errors import count
 from mocap_calib.io.provenance import advice_on
 from mocap_calib.io.results.group import REVERSED_RIG
 from mocap_calib.types import ARBITRARY
-from mocap_calib_cli.screen import Line, Reporter, Table, format_length, format_number
+from mocap_calib_cli.screen import Line, Reporter, Table, format_length, format_number, keep_lines
 from mocap_calib_cli.typed import Typed
 
 _MOST_PAIRS = 6  # that are named in a line
@@ -38,6 +38,11 @@ _UNIT_OF_FILE = (
     "no scale is set, as the file of the world has no unit: give it one by `mocap-calib convert "
     "FILE NEW --input-unit m`, or give a known length (--height, --length, --camera-distance)"
 )
+_FOCAL = (
+    "focal lengths with a ? are not determined: give --cameras, or record with three cameras or "
+    "more from different heights and sides"
+)
+_FAR = "weak perspective: images show none, and distances follow from focal lengths alone"
 _UNMET = ("axes_unmet", "scale_unmet")
 
 
@@ -152,12 +157,31 @@ def describe_group(report: dict[str, Any], folder: Path) -> list[str]:
 
     report: as `run.json` has it. folder: where the files of the group are.
     """
+    first = report["cameras"][0]["name"]
+    contradict = [
+        f"{pair['a']}-{pair['b']} by {pair['loop_rotation_deg']:.1f} deg"
+        for pair in report["pairs"]
+        if pair["breaks_loop"]
+    ]
+    further = len(contradict) - _MOST_PAIRS
+    pairs = ", ".join(contradict[:_MOST_PAIRS]) + (f" and {further} more" if further > 0 else "")
+    epochs = [
+        f"frames {epoch['first']} to {epoch['last']} in {folder / epoch['folder']}"
+        for epoch in report["epochs"]
+    ]
+    clocks = {
+        f"clock: frames late beside {first}; rig and poses are made with that, poses at the clock "
+        f"of {first}": any(camera["clock"]["used"] for camera in report["cameras"])
+    }
+    cases = {
+        f"pairs that contradict the others and were given little weight: {pairs}": contradict,
+        f"{len(epochs)} rigs, as cameras were moved: {', '.join(epochs)}": len(epochs) > 1,
+    }
     return [
         *_describe_mended(report),
-        *_describe_clocks(report),
+        *keep_lines(clocks),
         *describe_rig(report),
-        *_describe_pairs(report),
-        *_describe_epochs(report, folder),
+        *keep_lines(cases),
         *describe_world(report["world"]),
         _describe_results(report, folder),
     ]
@@ -181,16 +205,9 @@ def describe_rig(report: dict[str, Any]) -> list[str]:
             f"+-{worst['rotation_sigma_deg']:.2f} deg, baseline "
             f"+-{worst['centre_sigma_percent']:.1f} % of the rig size"
         )
-    if any(camera["intrinsics"]["source"] == "not determined" for camera in cameras):
-        lines.append(
-            "focal lengths with a ? are not determined: give --cameras, or record with three "
-            "cameras or more from different heights and sides"
-        )
-    if any(camera["weak_perspective"] for camera in cameras):
-        lines.append(
-            "weak perspective: images show none, and distances follow from focal lengths alone"
-        )
-    return lines
+    unknown = [camera["intrinsics"]["source"] == "not determined" for camera in cameras]
+    cases = {_FOCAL: any(unknown), _FAR: any(camera["weak_perspective"] for camera in cameras)}
+    return lines + keep_lines(cases)
 
 
 def _describe_mended(report: dict[str, Any]) -> list[str]:
@@ -202,41 +219,6 @@ def _describe_mended(report: dict[str, Any]) -> list[str]:
             done = f"; mended for this run: {fault['advice']}{own}" if fault["mended"] else ""
             lines.append(f"{camera['name']}: {fault['says']}{done}")
     return lines
-
-
-def _describe_clocks(report: dict[str, Any]) -> list[str]:
-    """Say what the parts of a frame are by which clocks are off, where that was used."""
-    if not any(camera["clock"]["used"] for camera in report["cameras"]):
-        return []
-    first = report["cameras"][0]["name"]
-    return [
-        f"clock: frames late beside {first}; rig and poses are made with that, poses at the clock "
-        f"of {first}"
-    ]
-
-
-def _describe_pairs(report: dict[str, Any]) -> list[str]:
-    """Say which pairs do not go together with the others, the first few by name."""
-    contradict = [
-        f"{pair['a']}-{pair['b']} by {pair['loop_rotation_deg']:.1f} deg"
-        for pair in report["pairs"]
-        if pair["breaks_loop"]
-    ]
-    further = len(contradict) - _MOST_PAIRS
-    more = f" and {further} more" if further > 0 else ""
-    named = ", ".join(contradict[:_MOST_PAIRS])
-    line = f"pairs that contradict the others and were given little weight: {named}{more}"
-    return [line] if contradict else []
-
-
-def _describe_epochs(report: dict[str, Any], folder: Path) -> list[str]:
-    """Say where the rig of each part of the recording is, where a camera was moved."""
-    places = [
-        f"frames {epoch['first']} to {epoch['last']} in {folder / epoch['folder']}"
-        for epoch in report["epochs"]
-    ]
-    line = f"{len(places)} rigs, as cameras were moved: {', '.join(places)}"
-    return [line] if len(places) > 1 else []
 
 
 def _describe_results(report: dict[str, Any], folder: Path) -> str:

@@ -83,25 +83,26 @@ def read_file(path: Path, context: click.Context) -> Texts:
             raise _refusal(path, key, "each option once", f"{key.value} twice", remedy)
         listed = is_list(param) and value.id == "sequence" and value.value
         nodes = value.value if listed else [value]
-        for node in nodes:
-            if node.id != "scalar" or node.tag.endswith(":null"):
-                expected = f"a value for {key.value}"
-                raise _refusal(path, node, expected, _kind(node), _AS_TYPED)
-        texts = tuple(
-            _change_path(param.type, node.value, lambda text: str(path.parent / text), path.parent)
-            for node in nodes
-        )
+        texts = tuple(_read_value(path, key.value, param, node, context) for node in nodes)
         found[name] = texts if is_list(param) else texts[0]
-        node = nodes[0]
         try:
-            for node in nodes:
-                param.type.convert(node.value, param, context)
             param.process_value(context, found[name])
         except (click.BadParameter, MismatchError) as error:
-            raise _refuse_value(
-                f"{_place(path, node)}: {key.value}", param, node.value, error
-            ) from None
+            raise _refusal(path, value, *_explain(error), key=key.value) from None
     return found
+
+
+def _read_value(
+    path: Path, key: str, param: click.Parameter, node: Any, context: click.Context
+) -> str:
+    """Return the text of a value, its path relative to the working folder. Raises FormatError."""
+    if node.id != "scalar" or node.tag.endswith(":null"):
+        raise _refusal(path, node, f"a value for {key}", _kind(node), _AS_TYPED)
+    try:
+        param.type.convert(node.value, param, context)
+    except (click.BadParameter, MismatchError) as error:
+        raise _refusal(path, node, *_explain(error), key=key) from None
+    return _change_path(param.type, node.value, lambda text: str(path.parent / text), path.parent)
 
 
 def params_by_key(command: click.Command) -> dict[str, click.Parameter]:
@@ -129,12 +130,11 @@ def _pairs(path: Path) -> list[tuple[Any, Any]]:
         raise FormatError(path, expected, f"{len(text) // 1000} kB", "give the options alone")
     try:
         node = yaml.compose(text, yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = f"{path}:{mark.line + 1}" if mark else path
-        raise FormatError(place, "YAML", error.problem or error, "correct that line") from None
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise FormatError(path, "YAML", f"an error ({error})", "correct the file") from None
+        mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+        found = getattr(error, "problem", None) or f"an error ({error})"
+        place = f"{path}:{mark.line + 1}" if mark else path
+        raise FormatError(place, "YAML", found, "correct the file") from None
     if node is None:
         return []
     if not isinstance(node, yaml.MappingNode):
@@ -148,24 +148,20 @@ def is_list(param: click.Parameter) -> bool:
     return param.multiple or param.nargs != 1
 
 
-def _place(path: Path, node: Any) -> str:
-    """Return a place in a file, with its line."""
-    return f"{path}:{node.start_mark.line + 1}"
+def _refusal(
+    path: Path, node: Any, expected: str, found: str, remedy: str, *, key: str = ""
+) -> FormatError:
+    """Return the complaint about a place in a file, with its line. key: the name of the option."""
+    place = f"{path}:{node.start_mark.line + 1}"
+    return FormatError(f"{place}: {key}" if key else place, expected, found, remedy)
 
 
-def _refusal(path: Path, node: Any, expected: str, found: str, remedy: str) -> FormatError:
-    """Return the complaint about a place in a file."""
-    return FormatError(_place(path, node), expected, found, remedy)
-
-
-def _refuse_value(place: str, param: click.Parameter, text: str, error: Exception) -> FormatError:
-    """Return the complaint about a value that a parameter refuses."""
+def _explain(error: click.BadParameter | MismatchError) -> tuple[str, str, str]:
+    """Return what was expected, what came and what to do, of a value that is refused."""
     if isinstance(error, MismatchError):
-        return FormatError(place, error.expected, error.found, error.remedy)
-    expected, _, found = str(error).removeprefix("expected ").partition(", found ")
-    if isinstance(param.type, type(click.BOOL)):
-        expected = "true or false"
-    return FormatError(place, expected, found or text, "correct that line")
+        return error.expected, error.found, error.remedy
+    expected, _, found = error.message.removeprefix("expected ").partition(", found ")
+    return expected, found, "correct that line"
 
 
 def _kind(node: Any) -> str:

@@ -1,5 +1,7 @@
 """The options that several commands share, each once: its help here, its type below.
 
+keypoints: Folder with the 2D keypoints, or a file for each camera; docs/formats.md lists the
+    formats.
 format: Format of the keypoint files, where their content does not show it (docs/formats.md).
 layout: Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, ... or
     a,b,c.
@@ -119,6 +121,17 @@ class Word(click.Choice[str]):
         return str(value)
 
 
+class _Flag(click.types.BoolParamType):
+    """Whether a flag is set, which a file of options says as true or false."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> bool:
+        """Return whether it is. Raises click's BadParameter."""
+        try:
+            return bool(super().convert(value, param, ctx))
+        except click.BadParameter:
+            self.fail(f"expected true or false, found {value}", param, ctx)
+
+
 def split_help(text: str) -> tuple[str, dict[str, str]]:
     """Return a docstring without its last paragraph, and the help of options by their names.
 
@@ -142,7 +155,7 @@ def option(
     more: as click has it. The help is in the docstring of the command, or in that of this module.
     """
     if kind is None:
-        return click.Option(flags.split(), is_flag=True, **more)
+        return click.Option(flags.split(), is_flag=True, type=_Flag(), **more)
     kind = Word(kind) if isinstance(kind, tuple) else kind
     return click.Option(flags.split(), type=kind, **more)
 
@@ -176,7 +189,7 @@ def _check_rates(
 # --- parameters of one name whose help, or whether they are required, is each command's own
 
 CAMERAS_IF_ANY = option("--cameras", values.INTRINSICS, metavar="INTRINSICS")
-OUTPUT_TEXT = option("-o --output", values.ANY_PATH, default=STDIO, metavar="FILE")
+OUTPUT_TEXT = option("-o --output", values.INPUT, default=STDIO, metavar="FILE")
 OUTPUT_FILE = option("-o --output", values.FILE, required=True, metavar="FILE")
 OUTPUT_FOLDER = option("-o --output", values.FILE, required=True, metavar="OUT")
 AS_JSON = option("--json as_json")
@@ -202,8 +215,8 @@ _ALL: tuple[click.Parameter, ...] = (
     option("--refine", REFINEMENTS, metavar="WHAT"),
     option("--focal-uncertainty", values.PERCENTAGE),
     option("--focal-per-camera"),
-    option("--rig", values.RIG, required=True, metavar="CAMERAS"),
-    option("--matches", values.MATCHES, required=True, metavar="MATCHES"),
+    option("--rig", values.INPUT, required=True, metavar="CAMERAS"),
+    option("--matches", values.INPUT, required=True, metavar="MATCHES"),
     option("--skeleton", values.FILE, metavar="FILE.yaml"),
     option("--model", names.MODEL),
     option("--device", ("cpu", "cuda"), default="cpu"),

@@ -28,17 +28,14 @@ def write_text(output: str, pieces: Iterable[bytes]) -> None:
         write_pieces(Path(output), pieces)
 
 
-def check_text(output: str | None) -> None:
-    """Raise MismatchError or OSError where `write_text` could not write a file."""
-    if output not in (None, STDIO):
-        check_file(Path(str(output)))
-
-
-def check_file(path: Path) -> None:
-    """Raise MismatchError or OSError where a file could not be written."""
+def check_file(output: Path | str | None) -> None:
+    """Raise MismatchError or OSError where a file could not be written; stdout can, and none."""
+    if output in (None, STDIO):
+        return
+    path = Path(str(output))
     if path.is_dir():
         raise MismatchError(path, "a file to write", "a folder", "give a name within it")
-    _check_writable(path.absolute().parent)
+    check_place(path)
 
 
 def check_poses(path: Path) -> None:
@@ -83,23 +80,17 @@ def check_folder(path: Path) -> None:
     """Raise MismatchError or OSError where a folder could not be made and filled."""
     if path.exists() and not path.is_dir():
         raise MismatchError(path, "a folder to write, or a new name", "a file", "choose another")
-    _check_writable(path.absolute().parent)
+    check_place(path)
     if path.exists():
-        _check_writable(path)
+        check_place(path / "file")
 
 
 def check_place(path: Path) -> None:
-    """Raise MismatchError or OSError where neither a file nor a folder could be written."""
-    _check_writable(path.absolute().parent)
-
-
-def _check_writable(folder: Path) -> None:
-    """Raise MismatchError where nothing can be written in the nearest folder that exists.
+    """Raise MismatchError where nothing can be written at a path: in the nearest folder there.
 
     It is tried, which is the only way to know.
     """
-    while not folder.exists():
-        folder = folder.parent
+    folder = next(each for each in path.absolute().parents if each.exists())
     if not folder.is_dir():
         raise MismatchError(folder, "a folder", "a file", "choose another path")
     try:

@@ -5,7 +5,7 @@ rich draws what a terminal shows. It takes 0.03 s to import, and is not where no
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import click
@@ -94,6 +94,14 @@ def format_number(value: float | None, digits: int = 2) -> str:
 def format_length(value: float | None) -> str:
     """Return a length to two significant digits, a dash where there is none."""
     return "-" if value is None else f"{value:.2g}"
+
+
+def keep_lines(cases: Mapping[str, object]) -> list[str]:
+    """Return the lines that say something.
+
+    cases: line -> what it is about; empty, zero or false where there is nothing to say.
+    """
+    return [line for line, found in cases.items() if found]
 
 
 class Reporter:

@@ -49,7 +49,12 @@ Run = Callable[[Typed], int | None]
 
 
 class Command(click.Command):
-    """A command whose function gets what was typed, and returns an exit status, or nothing."""
+    """A command whose function gets what was typed, and returns an exit status, or nothing.
+
+    helps: of its parameters, by their names.
+    """
+
+    helps: Mapping[str, str]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Keep the texts of what is given beside their values."""
@@ -90,6 +95,8 @@ def as_command(name: str, *params: str | click.Parameter) -> Callable[[Run], Com
         for param in own:
             if isinstance(param, click.Option):
                 param.help = (HELP | helps)[str(param.name)]
-        return Command(name, params=own, callback=call, help=about)
+        command = Command(name, params=own, callback=call, help=about)
+        command.helps = HELP | helps
+        return command
 
     return make

@@ -1,14 +1,13 @@
 """The types of arguments: what is typed, as the value that the library takes, or a refusal.
 
-`Written` values have a form of their own (`cam1:-3`), `PathOf` a word on what is missing; each
-offers to the shell what it may become. Readers are imported when a value needs them, so that --help
-is quick; torch never is.
+`Written` values have a form of their own (`cam1:-3`), an `Input` says what it is where it is
+missing; each offers to the shell what it may become. Readers are imported when a value needs them,
+so that --help is quick; torch never is.
 """
 
 import os
 import re
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -74,30 +73,33 @@ class Written(click.ParamType[Any]):
 # --- files and folders
 
 
-class PathOf(click.Path):
-    """A file or folder; `missing` says what it is, and where to get it, when it was left out."""
-
-    def __init__(self, missing: str | Callable[[], str] = "") -> None:
-        super().__init__()
-        self.missing = missing
+class Input(click.Path):
+    """A file or folder that a command reads."""
 
     def get_missing_message(
         self, param: click.Parameter, ctx: click.Context | None = None
     ) -> str | None:
-        """Return the words that follow "Missing option"."""
-        return self.missing() if callable(self.missing) else self.missing or None
+        """Return what the help of the parameter says, which follows "Missing option"."""
+        about = getattr(ctx and ctx.command, "helps", {}).get(param.name)
+        return about and f"Expected: {about[0].lower()}{about[1:]}"
 
 
-def _describe_intrinsics() -> str:
-    """Return what intrinsics are, where to get them, and the formats that are read."""
-    from mocap_calib.io.camera_files import CAMERA_FORMATS
+class Intrinsics(Input):
+    """The file of the cameras' intrinsics; its message lists the formats that are read."""
 
-    return (
-        "Expected a file with the intrinsics of each camera (focal length, principal point, "
-        "lens distortion), found none; film a checkerboard or ChArUco board with each camera, "
-        "calibrate with anipose, caliscope, OpenCV, Kalibr or the like, and give the file that "
-        f"it writes. Formats: {', '.join(each.name for each in CAMERA_FORMATS)} (docs/formats.md)."
-    )
+    def get_missing_message(
+        self, param: click.Parameter, ctx: click.Context | None = None
+    ) -> str | None:
+        """Return what intrinsics are, where to get them, and the formats that are read."""
+        from mocap_calib.io.camera_files import CAMERA_FORMATS
+
+        return (
+            "Expected a file with the intrinsics of each camera (focal length, principal point, "
+            "lens distortion), found none; film a checkerboard or ChArUco board with each camera, "
+            "calibrate with anipose, caliscope, OpenCV, Kalibr or the like, and give the file that "
+            f"it writes. Formats: {', '.join(each.name for each in CAMERA_FORMATS)} "
+            "(docs/formats.md)."
+        )
 
 
 class NameOrFile(Written):
@@ -111,26 +113,9 @@ class NameOrFile(Written):
         return path.suffix.lower() in self.endings or os.path.isfile(path)
 
 
-KEYPOINTS = PathOf(
-    "Expected the folder with the 2D keypoints, or a file for each camera; "
-    "docs/formats.md lists the formats."
-)
-RECORDINGS = PathOf("Expected a folder for each recording, with its keypoint files.")
-INTRINSICS = PathOf(_describe_intrinsics)
-RIG = PathOf(
-    "Expected a file that says where the cameras stand; give the cameras.yaml of `run`, or what "
-    "`average` or `adjust` wrote."
-)
-MATCHES = PathOf("Expected a file that says who is who; give what `match` wrote.")
-REFERENCE = PathOf(
-    "Expected a calibration to compare with, in any camera format of docs/formats.md, with the "
-    "same names of cameras."
-)
-PAIRS = PathOf("Expected the file that `pairwise` wrote; - reads stdin.")
-POSES = PathOf(
-    "Expected 3D poses; give the folder of `run`, or files of a 3D format of docs/formats.md."
-)
-ANY_PATH = PathOf()
+KEYPOINTS = Input()  # also name=path
+INTRINSICS = Intrinsics()
+INPUT = Input()
 FILE = click.Path(path_type=Path)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -209,12 +194,16 @@ def _two_cameras(text: str) -> tuple[str, str]:
     return _allowed((first, second), bool(first and second) and first != second)
 
 
-def _cue(kind: CueKind, text: str) -> ScaleCue:
-    """Return the known length of `[OF=]METRES[+-SIGMA]`."""
-    of, equals, value = text.rpartition("=")
-    _allowed(of, bool(of.strip()) or (kind == "height" and not equals))
-    metres, stated, sigma = value.replace("±", "+-").partition("+-")
-    return ScaleCue(kind, float(metres), float(sigma if stated else 0), of.strip())
+def _length(kind: CueKind, metavar: str, form: str) -> Written:
+    """Return the type of a known length, `[OF=]METRES[+-SIGMA]`."""
+
+    def read(text: str) -> ScaleCue:
+        of, equals, value = text.rpartition("=")
+        _allowed(of, bool(of.strip()) or (kind == "height" and not equals))
+        metres, stated, sigma = value.replace("±", "+-").partition("+-")
+        return ScaleCue(kind, float(metres), float(sigma if stated else 0), of.strip())
+
+    return Written(metavar, form, read)
 
 
 def _pattern(text: str) -> str:
@@ -249,17 +238,10 @@ def _video(text: str) -> tuple[str, Path]:
     return _allowed((camera, Path(path)), bool(camera and path))
 
 
-def _comma_separated(text: str) -> tuple[str, ...]:
-    """Return the words of `A,B`."""
-    return tuple(text.split(","))
-
-
 PERCENTAGE = Written("SHARE", "a share of up to 100%, as 5% or 0.05", _share)
 CAMERA = Written("CAM")
 IMAGE_SIZE = Written(
-    "WxH|CAM:WxH",
-    "a width and a height above 0, as 1280x720",
-    _of_camera(_size, of_all=True),
+    "WxH|CAM:WxH", "a width and a height above 0, as 1280x720", _of_camera(_size, of_all=True)
 )
 FRAME_OFFSET = Written("CAM:N", "camera:frames with a whole number, as cam1:-3", _of_camera(_whole))
 CROP_OFFSET = Written("CAM:X,Y", "camera:x,y, as cam1:640,0", _of_camera(_corner))
@@ -272,22 +254,16 @@ RATE = Written(
     "frames per second above 0, or camera:frames per second, as cam1:25",
     _of_camera(_positive, of_all=True),
 )
-HEIGHT = Written(
-    "METRES|ID=METRES",
-    "metres above 0, or individual=metres, as 0=1.75+-0.01",
-    partial(_cue, "height"),
+HEIGHT = _length(
+    "height", "METRES|ID=METRES", "metres above 0, or individual=metres, as 0=1.75+-0.01"
 )
-LENGTH = Written(
-    "A-B=METRES",
-    "two joints and metres above 0, as left_hip-left_knee=0.42+-0.01",
-    partial(_cue, "length"),
+LENGTH = _length(
+    "length", "A-B=METRES", "two joints and metres above 0, as left_hip-left_knee=0.42+-0.01"
 )
-CAMERA_DISTANCE = Written(
-    "A-B=METRES",
-    "two cameras and metres above 0, as cam1-cam2=3.1+-0.02",
-    partial(_cue, "camera distance"),
+CAMERA_DISTANCE = _length(
+    "camera distance", "A-B=METRES", "two cameras and metres above 0, as cam1-cam2=3.1+-0.02"
 )
 PATTERN = Written("REGEX", read=_pattern)
-VIEWS = Written("A,B", read=_comma_separated)
+VIEWS = Written("A,B", read=lambda text: tuple(text.split(",")))
 FRAMES = Written("N,N-N,...", "frame numbers, as 100,200-210", _frames)
 VIDEO = Written("CAM=FILE", "CAM=FILE", _video)

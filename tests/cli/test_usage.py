@@ -106,13 +106,13 @@ RUN = "run k --cameras i.toml -o o"
     ("line", "said"),
     [
         # what is left out
-        ("run", "Missing argument 'KEYPOINTS...'. Expected the folder with the 2D keypoints"),
-        ("batch", "Missing argument 'RECORDINGS...'. Expected a folder for each recording"),
-        ("match x", "Missing option '--rig'. Expected a file that says where the cameras stand"),
-        ("adjust x --rig r", "Missing option '--matches'. Expected a file that says who is who"),
-        ("evaluate x", "Missing option '--reference'. Expected a calibration to compare with"),
-        ("average", "Missing argument 'PAIRS'. Expected the file that `pairwise` wrote"),
-        ("verify", "Missing argument 'CAMERAS'. Expected a calibration, then the keypoints"),
+        ("run", "Missing argument 'KEYPOINTS...'. Expected: folder with the 2D keypoints"),
+        ("batch", "Missing argument 'RECORDINGS...'. Expected: folder for each recording"),
+        ("match x", "Missing option '--rig'. Expected: file or folder with cameras and where"),
+        ("adjust x --rig r", "Missing option '--matches'. Expected: file of the command `match`"),
+        ("evaluate x", "Missing option '--reference'. Expected: calibration to compare with"),
+        ("average", "Missing argument 'PAIRS'. Expected: file that `pairwise` wrote"),
+        ("verify", "Missing argument 'CAMERAS'. Expected: calibration, then the keypoints"),
         # other words
         ("rnu", "found rnu; did you mean run?"),
         ("keypoints/", "expected one of the commands run, batch, inspect"),

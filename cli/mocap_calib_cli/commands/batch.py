@@ -34,7 +34,7 @@ _REFUSED = "refused"  # stands for the verdict where files or data do not allow 
 @as_command(
     "batch",
     options.OUTPUT_FOLDER,
-    options.argument("recordings", values.RECORDINGS, several=True),
+    options.argument("recordings", values.INPUT, several=True),
     options.CAMERAS_IF_ANY,
     *options.CALIBRATION,
     options.option("--jobs", numbers.COUNT, default=1),
@@ -56,6 +56,7 @@ def command(typed: Typed) -> int:
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --layout body_25 --jobs 4
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
 
+    recordings: Folder for each recording, with its keypoint files.
     output: Folder to write: OUT/NAME of recording NAME.
     cameras: As for `run`; first looked for in each recording's folder, then as a path for all.
     jobs: Recordings at a time, in processes of this machine.

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 # that say nothing of other kinds of files
 _READING = tuple(name for name in options.READING if name != "format")
-_INPUT = values.PathOf("Expected what to convert, then where to write it: INPUT... OUTPUT.")
 _UNITS = ("m", "cm", "mm")
 _OPTIONS_OF = {
     "poses": ("unit", "input_unit", "fps", "up"),
@@ -29,8 +29,8 @@ _OPTIONS_OF = {
 
 @as_command(
     "convert",
-    argument("inputs", _INPUT, "INPUT...", several=True),
-    argument("output", values.ANY_PATH),
+    argument("inputs", values.INPUT, "INPUT...", several=True),
+    argument("output", values.INPUT),
     option("--from format", names.FORMAT),
     option("--to", names.WRITTEN_FORMAT),
     option("--unit", _UNITS),
@@ -56,6 +56,7 @@ def command(typed: Typed) -> None:
       mocap-calib convert openpose/ again --to csv --layout coco_17
       mocap-calib convert - - --from anipose --to nerfstudio <out/calibration.toml >nerf.json
 
+    inputs: What to convert, then where to write it: INPUT... OUTPUT.
     format: Format of INPUT, where its content does not show it; needed for stdin.
     to: Format of OUTPUT, where the ending of its name does not say it.
     unit: Unit of the lengths in OUTPUT; those of INPUT must be known.
@@ -114,9 +115,9 @@ def _convert_cameras(
         )
     sizes = dict(own.pop("image_size"))
     size_of_all = sizes.pop("", (0, 0))
-    if sizes:
+    for camera in sizes:
         raise click.UsageError(
-            f"--image-size: expected one size for all cameras, found that of {min(sizes)}; "
+            f"--image-size: expected one size for all cameras, found that of {camera}; "
             "say WIDTHxHEIGHT"
         )
     return convert_cameras(
@@ -154,13 +155,14 @@ def _options_of(kind: str, typed: Typed) -> dict[str, Any]:
 
     Raises click's UsageError where one was typed that says nothing of this kind.
     """
-    for name in {name for own in _OPTIONS_OF.values() for name in own} & typed.texts.keys():
-        if name not in _OPTIONS_OF[kind]:
+    own = _OPTIONS_OF[kind]
+    for name in {*chain(*_OPTIONS_OF.values())} - {*own}:
+        if name in typed.texts:
             raise click.UsageError(
                 f"--{name.replace('_', '-')}: expected an option of {kind}, which INPUT holds, "
                 "found one of other files; leave it out"
             )
-    return {name: getattr(typed, name) for name in _OPTIONS_OF[kind]}
+    return {name: getattr(typed, name) for name in own}
 
 
 def _find_sources(typed: Typed) -> "Sources":
@@ -180,11 +182,6 @@ def _write_stdout(files: Mapping[str, bytes], format: str) -> None:
     from mocap_calib.errors import MismatchError
 
     if len(files) != 1:
-        raise MismatchError(
-            format,
-            "one file for stdout",
-            f"{len(files)} ({', '.join(list(files)[:4])})",
-            "give a folder",
-        )
-    sys.stdout.buffer.write(next(iter(files.values())))
-    sys.stdout.buffer.flush()
+        found = f"{len(files)} ({', '.join(list(files)[:4])})"
+        raise MismatchError(format, "one file for stdout", found, "give a folder")
+    click.echo(next(iter(files.values())), nl=False)

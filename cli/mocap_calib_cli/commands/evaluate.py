@@ -12,8 +12,8 @@ from mocap_calib_cli.typed import Typed, as_command
 
 @as_command(
     "evaluate",
-    argument("rig", values.RIG, "CAMERAS"),
-    option("--reference", values.REFERENCE, required=True, metavar="REFERENCE"),
+    argument("rig", values.INPUT, "CAMERAS"),
+    option("--reference", values.INPUT, required=True, metavar="REFERENCE"),
     AS_JSON,
 )
 def command(typed: Typed) -> None:
@@ -30,7 +30,8 @@ def command(typed: Typed) -> None:
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
       mocap-calib evaluate out/cameras.yaml --reference reference.toml --json
 
-    reference: File with the reference calibration; - reads stdin.
+    reference: Calibration to compare with, in any camera format of docs/formats.md, with the same
+        names of cameras; - reads stdin.
     as_json: Figures as JSON instead of a table.
     """
     from mocap_calib.verdict.evaluation import evaluate, evaluation_to_dict
@@ -48,45 +49,28 @@ def command(typed: Typed) -> None:
 
 
 def _describe(figures: dict[str, Any]) -> list[str]:
-    """Return the figures as tables and lines."""
-    lines = [*_pair_table(figures), "", *_share_table(figures), "", _describe_cameras(figures)]
-    if figures["missing"]:
-        lines.append(f"missing: {', '.join(figures['missing'])}")
-    return lines
+    """Return the errors of all pairs, the shares of pairs below limits, and those of cameras."""
+    from mocap_calib_cli.screen import format_number, format_table, keep_lines
 
-
-def _pair_table(figures: dict[str, Any]) -> list[str]:
-    """Return a table of the errors of all pairs, with their median and maximum."""
-    from mocap_calib_cli.screen import format_number, format_table
-
-    rotation = figures["rotation_error_deg"]
-    translation = figures["translation_error_deg"]
+    turns, ways = figures["rotation_error_deg"], figures["translation_error_deg"]
     errors = [
         (f"{pair['a']} - {pair['b']}", pair["rotation_error_deg"], pair["translation_error_deg"])
         for pair in figures["pairs"]
     ]
-    errors += [(name, rotation[name], translation[name]) for name in ("median", "max")]
-    rows = [[name, format_number(turn), format_number(shift)] for name, turn, shift in errors]
-    return format_table(["pair", "E_R deg", "E_t deg"], rows)
-
-
-def _share_table(figures: dict[str, Any]) -> list[str]:
-    """Return a table of the shares of pairs below each threshold."""
-    from mocap_calib_cli.screen import format_number, format_table
-
+    errors += [(name, turns[name], ways[name]) for name in ("median", "max")]
+    pairs = [[name, format_number(turn), format_number(way)] for name, turn, way in errors]
     measures = [figures[name] for name in ("rra", "rta", "auc")]
-    rows = [
+    shares = [
         [f"below {degrees} deg", *(format_number(measure[degrees]) for measure in measures)]
         for degrees in figures["rra"]
     ]
-    return format_table(["share of pairs", "RRA", "RTA", "AUC"], rows)
-
-
-def _describe_cameras(figures: dict[str, Any]) -> str:
-    """Return a line on the errors of the cameras after alignment."""
-    turn = figures["camera_rotation_error_deg"]
-    centre = figures["centre_error"]
-    return (
+    turn, centre = figures["camera_rotation_error_deg"], figures["centre_error"]
+    return [
+        *format_table(["pair", "E_R deg", "E_t deg"], pairs),
+        "",
+        *format_table(["share of pairs", "RRA", "RTA", "AUC"], shares),
+        "",
         f"after alignment: rotation {turn['median']:.2f} deg (max {turn['max']:.2f}), "
-        f"centre {centre['median']:.4g} {figures['unit']} (max {centre['max']:.4g})"
-    )
+        f"centre {centre['median']:.4g} {figures['unit']} (max {centre['max']:.4g})",
+        *keep_lines({f"missing: {', '.join(figures['missing'])}": figures["missing"]}),
+    ]

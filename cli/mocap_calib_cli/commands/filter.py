@@ -21,7 +21,7 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
 
 @as_command(
     "filter",
-    argument("poses", values.POSES),
+    argument("poses", values.INPUT),
     OUTPUT_FILE,
     option("--to", names.WRITTEN_FORMAT),
     option("--method", FILTER_METHODS, default=_DEFAULT.method),
@@ -30,11 +30,7 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
         "--order", numbers.Number(whole=True, min=2), callback=_check_parity, default=_DEFAULT.order
     ),
     option(
-        "--window",
-        numbers.COUNT,
-        callback=_check_parity,
-        default=_DEFAULT.window,
-        metavar="FRAMES",
+        "--window", numbers.COUNT, callback=_check_parity, default=_DEFAULT.window, metavar="FRAMES"
     ),
     option("--polynomial", numbers.COUNT, default=_DEFAULT.polynomial),
     RATE_OF_POSES,
@@ -51,6 +47,7 @@ def command(typed: Typed) -> None:
       mocap-calib filter out/poses3d.h5 -o filtered.h5 --cutoff 6 --fps 60
       mocap-calib filter poses.trc -o filtered.trc --method median --window 5
 
+    poses: 3D poses: the folder of `run`, or files of a 3D format of docs/formats.md.
     output: The filtered poses; the ending of the name says the format.
     to: Format of the output, where the ending of its name does not say it. [default: poses-h5 for
         .h5]

@@ -1,12 +1,15 @@
 """mocap-calib inspect: what is in keypoint files, before any calibration."""
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mocap_calib_cli import options
 from mocap_calib_cli.typed import Typed, as_command
+
+if TYPE_CHECKING:
+    from mocap_calib.io.cameras import CameraFile
 
 _COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
 _COLUMNS = {  # heading -> what it means
@@ -50,9 +53,12 @@ def command(typed: Typed) -> int:
     sync: Find out whether the clocks of the cameras differ, which takes some seconds.
     as_json: Write everything as JSON.
     """
-    report = _inspect(typed)
+    from mocap_calib_cli import inputs
+
+    file = inputs.load_camera_file(typed.cameras, "--cameras") if typed.cameras else None
+    report = _inspect(typed, file)
     if typed.sync and not _is_critical(report):
-        _compare_clocks(report, typed)
+        _compare_clocks(report, typed, file)
     if typed.as_json:
         click.echo(json.dumps(report, indent=1, allow_nan=False))
     else:
@@ -60,10 +66,10 @@ def command(typed: Typed) -> int:
     return int(_is_critical(report))
 
 
-def _inspect(typed: Typed) -> dict[str, Any]:
+def _inspect(typed: Typed, file: "CameraFile | None") -> dict[str, Any]:
     """Return what the files hold, and the findings."""
     from mocap_calib.inspection.contents import InspectConfig, fill_image_sizes, inspect_views
-    from mocap_calib.inspection.problems import Finding, find_problems
+    from mocap_calib.inspection.problems import find_problems
     from mocap_calib.io.filled_table import describe_filled
     from mocap_calib.io.keypoints import read_what_can
     from mocap_calib.recording.joints import fit_vocabulary
@@ -71,7 +77,6 @@ def _inspect(typed: Typed) -> dict[str, Any]:
 
     config = InspectConfig()
     views, errors = read_what_can(typed.keypoints, typed.format, inputs.read_options(typed))
-    file = inputs.load_camera_file(typed.cameras, "--cameras") if typed.cameras else None
     cameras, notes = (file.cameras, file.notes) if file else ((), ())
     names = (name for view in views for name in view.keypoints)
     skeleton, aliases = fit_vocabulary(names, typed.skeleton)
@@ -79,16 +84,17 @@ def _inspect(typed: Typed) -> dict[str, Any]:
     problems = find_problems(
         views, report, cameras=cameras, skeleton=skeleton, aliases=aliases, config=config
     )
-    found = [
-        *(Finding(True, str(error)) for error in errors),
-        *problems,
-        *(Finding(False, note) for note in (*notes, *describe_filled(views))),
-    ]
     report["findings"] = [
-        {"level": "CRITICAL" if each.critical else "WARNING", "message": each.message}
-        for each in found
+        *(_finding(str(error), critical=True) for error in errors),
+        *(_finding(each.message, critical=each.critical) for each in problems),
+        *map(_finding, (*notes, *describe_filled(views))),
     ]
     return report
+
+
+def _finding(message: str, *, critical: bool = False) -> dict[str, str]:
+    """Return a finding as the report has it."""
+    return {"level": "CRITICAL" if critical else "WARNING", "message": message}
 
 
 def _is_critical(report: dict[str, Any]) -> bool:
@@ -96,7 +102,7 @@ def _is_critical(report: dict[str, Any]) -> bool:
     return any(finding["level"] == "CRITICAL" for finding in report["findings"])
 
 
-def _compare_clocks(report: dict[str, Any], typed: Typed) -> None:
+def _compare_clocks(report: dict[str, Any], typed: Typed, file: "CameraFile | None") -> None:
     """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
     from mocap_calib.clocks.estimate import estimate_clocks
     from mocap_calib.config import Config
@@ -108,30 +114,31 @@ def _compare_clocks(report: dict[str, Any], typed: Typed) -> None:
     from mocap_calib.types import silent
     from mocap_calib_cli import inputs
 
-    file = inputs.load_camera_file(typed.cameras, "--cameras") if typed.cameras else None
     recording = load_recording(inputs.keypoint_source(typed), file).recording
     recording, lifter = choose_model(recording, recording.model)
-    lift_sample = RememberedLift(lifter, silent)
-    cameras = estimate_clocks(recording, lift_sample, {}, Config(), seed=0)
+    cameras = estimate_clocks(recording, RememberedLift(lifter, silent), {}, Config(), seed=0)
     clocks = Clocks.of_one(recording, cameras)
     report["clocks"] = [describe_clock(clock, clocks) for clock in clocks.cameras]
     for fault in clock_faults(clocks, applied=True):
-        option = option_of(fault.mend) if fault.mend else ""
-        advice = f"; say {option}" if option else "; a run mends it"
-        message = f"{fault.camera}: {fault.says}{advice}"
-        report["findings"].append({"level": "WARNING", "message": message})
+        advice = f"say {option_of(fault.mend)}" if fault.mend else "a run mends it"
+        report["findings"].append(_finding(f"{fault.camera}: {fault.says}; {advice}"))
     if all(clock.kind == "not known" for clock in clocks.cameras):
         message = "too little moves, or too few frames are shared, to compare the cameras' clocks"
-        report["findings"].append({"level": "WARNING", "message": message})
+        report["findings"].append(_finding(message))
 
 
 def _describe(report: dict[str, Any]) -> list[str]:
     """Return the report for a person."""
     from mocap_calib.errors import count
+    from mocap_calib_cli.screen import format_table
 
     lines = _describe_cameras(report)
     if report["pairs"]:
-        lines += ["", "frames in which both see somebody:", *_pair_table(report)]
+        names = [camera["name"] for camera in report["cameras"]]
+        shared = {(pair["a"], pair["b"]): str(pair["covisible"]) for pair in report["pairs"]}
+        shared |= {(b, a): frames for (a, b), frames in shared.items()}
+        rows = [[name, *(shared.get((name, other), "-") for other in names)] for name in names]
+        lines += ["", "frames in which both see somebody:", *format_table(["", *names], rows)]
     lines.append("")
     for finding in report["findings"]:
         level = finding["level"]
@@ -145,32 +152,24 @@ def _describe_cameras(report: dict[str, Any]) -> list[str]:
     from mocap_calib.errors import count
     from mocap_calib_cli.screen import format_table
 
-    cameras = report["cameras"]
+    cameras, model = report["cameras"], report["model"]
     if not cameras:
         return []
-    model = report["model"]
     unknown = f", not: {', '.join(model['unknown'])}" if model["unknown"] else ""
     return [
         *format_table(list(_COLUMNS), [_camera_row(camera) for camera in cameras]),
         "",
-        *_explain_columns(),
+        *(f"{name:<10}  {meaning}" for name, meaning in _COLUMNS.items() if meaning),
         "",
         f"the model of {model['name']} knows {count(model['knows'], 'joint')}{unknown}",
         *(f"{camera['name']}: {line}" for camera in cameras for line in _details(camera)),
     ]
 
 
-def _explain_columns() -> list[str]:
-    """Return a line on each column of the table."""
-    return [f"{name:<10}  {meaning}" for name, meaning in _COLUMNS.items() if meaning]
-
-
 def _camera_row(camera: dict[str, Any]) -> list[str]:
     """Return the row of a camera, in the order of _COLUMNS."""
-    frames = camera["frames"]
-    score = camera["confidence"]
-    size = camera["image"]["size"]
-    missing = [entry["share"] for entry in camera["missing"].values()]
+    frames, score, size = camera["frames"], camera["confidence"], camera["image"]["size"]
+    missing = sum(entry["share"] for entry in camera["missing"].values())
     return [
         camera["name"],
         str(frames["count"]),
@@ -180,7 +179,7 @@ def _camera_row(camera: dict[str, Any]) -> list[str]:
         str(camera["most_at_once"]),
         "yes" if camera["followed"] else "no",
         str(len(camera["keypoints"])),
-        f"{sum(missing) if camera['points'] else 1.0:.0%}",
+        f"{missing if camera['points'] else 1.0:.0%}",
         "-" if score["most"] is None else f"{score['least']:.2f}-{score['most']:.2f}",
         "x".join(map(str, size)) if any(size) else "?",
         f"{camera['image']['covered']:.0%}",
@@ -190,56 +189,26 @@ def _camera_row(camera: dict[str, Any]) -> list[str]:
 def _details(camera: dict[str, Any]) -> list[str]:
     """Return lines on what the table has no room for."""
     from mocap_calib.errors import count
+    from mocap_calib_cli.screen import format_number, keep_lines
 
-    lines = [camera["source"]]
-    if camera["missing"]:
-        customs = [
-            f"{name}: {entry['points']} ({entry['share']:.1%})"
-            for name, entry in camera["missing"].items()
-        ]
-        lines.append(f"missing by {', '.join(customs)}")
-    if camera["empty_frames"]:
-        lines.append(f"nobody in {count(camera['empty_frames'], 'frame')}")
-    if camera["frames"]["gaps"]:
-        lines.append(f"no frames {_describe_gaps(camera['frames']['gaps'])}")
-    if camera["never_seen"]:
-        lines.append(f"never seen: {', '.join(camera['never_seen'])}")
-    if camera["motion"] is not None:
-        apart = f"{camera['motion']:.2f} of their size"
-        lines.append(f"bodies of two frames are up to {apart} apart")
-    if camera["image"]["least"]:
-        lines.append(_describe_span(camera))
-    return lines + camera["remarks"]
-
-
-def _describe_gaps(gaps: list[list[int]]) -> str:
-    """Return the first few gaps."""
-    listed = [
-        str(first) if first == last else f"{first}-{last}" for first, last in gaps[:_LISTED_GAPS]
+    missing = [
+        f"{name}: {entry['points']} ({entry['share']:.1%})"
+        for name, entry in camera["missing"].items()
     ]
-    return ", ".join([*listed, "..."] if len(gaps) > _LISTED_GAPS else listed)
-
-
-def _describe_span(camera: dict[str, Any]) -> str:
-    """Return where in the image the points lie, and how sure the detector is of them."""
-    from mocap_calib_cli.screen import format_number
-
-    x0, y0, x1, y1 = (
-        format_number(value, 0) for value in (*camera["image"]["least"], *camera["image"]["most"])
-    )
-    score = format_number(camera["confidence"]["median"])
-    return f"x {x0} to {x1}, y {y0} to {y1}, median score {score}"
-
-
-def _pair_table(report: dict[str, Any]) -> list[str]:
-    """Return the table of the frames that pairs of cameras see together."""
-    from mocap_calib_cli.screen import format_table
-
-    names = [camera["name"] for camera in report["cameras"]]
-    covisible = {
-        frozenset((pair["a"], pair["b"])): str(pair["covisible"]) for pair in report["pairs"]
+    gaps = [f"{a}-{b}" if a != b else str(a) for a, b in camera["frames"]["gaps"]]
+    named = [*gaps[:_LISTED_GAPS], *(["..."] if len(gaps) > _LISTED_GAPS else [])]
+    image, score = camera["image"], format_number(camera["confidence"]["median"])
+    ends = [
+        f"{axis} {least:.0f} to {most:.0f}"
+        for axis, least, most in zip("xy", image["least"] or "", image["most"] or "", strict=False)
+    ]
+    motion = f"{format_number(camera['motion'])} of their size"
+    lines = {
+        f"missing by {', '.join(missing)}": missing,
+        f"nobody in {count(camera['empty_frames'], 'frame')}": camera["empty_frames"],
+        f"no frames {', '.join(named)}": gaps,
+        f"never seen: {', '.join(camera['never_seen'])}": camera["never_seen"],
+        f"bodies of two frames are up to {motion} apart": camera["motion"] is not None,
+        f"{', '.join(ends)}, median score {score}": ends,
     }
-    rows = [
-        [name, *(covisible.get(frozenset((name, other)), "-") for other in names)] for name in names
-    ]
-    return format_table(["", *names], rows)
+    return [camera["source"], *keep_lines(lines), *camera["remarks"]]

@@ -8,7 +8,7 @@ from mocap_calib_cli.typed import Typed, as_command
 
 @as_command(
     "kinematics",
-    options.argument("poses", values.POSES, several=True),
+    options.argument("poses", values.INPUT, several=True),
     options.OUTPUT_FOLDER,
     options.option("--from format", names.POSE_FORMAT),
     options.RATE_OF_POSES,
@@ -29,6 +29,7 @@ def command(typed: Typed) -> None:
       mocap-calib kinematics out --fps 30 -o out/kinematics
       mocap-calib kinematics anna.trc -o anna
 
+    poses: 3D poses: the folder of `run`, or files of a 3D format of docs/formats.md.
     output: Folder to write the tables to; made when missing.
     format: Format of POSES, where their content does not show it.
     fps: Frames per second, where the file does not say.

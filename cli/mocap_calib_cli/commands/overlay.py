@@ -37,7 +37,7 @@ def _check_cameras(
     option("--video", values.VIDEO, multiple=True, required=True, callback=_check_cameras),
     OUTPUT_FOLDER,
     option("--frames", values.FRAMES),
-    option("--keypoints", values.ANY_PATH, multiple=True, metavar="PATH"),
+    option("--keypoints", values.INPUT, multiple=True, metavar="PATH"),
     *_READING,
     "crop_offset",
     "quiet",

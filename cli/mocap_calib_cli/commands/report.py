@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 @as_command(
     "report",
-    argument("results", values.ANY_PATH, "OUT"),
+    argument("results", values.INPUT, "OUT"),
     option("-o --output", values.FILE, metavar="FILE"),
-    option("--reference", values.RIG, metavar="CAMERAS"),
+    option("--reference", values.INPUT, metavar="CAMERAS"),
     argument("keypoints", values.KEYPOINTS, "[KEYPOINTS]...", several=True, required=False),
     *options.READING,
     "skeleton",

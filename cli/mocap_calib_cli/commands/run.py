@@ -90,9 +90,7 @@ def command(typed: Typed) -> int:
             result = calibrate_job_resumably(job, progress=reporter, mapper=workers)
     written = write_results(job, result)
 
-    groups, clocks = describe.describe_groups(result), describe.describe_unknown_clocks(result)
-    reporter.say("", *groups, *clocks)
-    reporter.say(*describe.describe_unused_cameras(result.left_out))
+    reporter.say("", *describe.describe_groups(result))
     _say_groups(reporter, written, typed)
     if typed.as_json:
         click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
@@ -123,14 +121,14 @@ def _say_how_to_go_on(reporter: "Reporter", output: Path) -> Iterator[None]:
 def _say_groups(reporter: "Reporter", written: Sequence["WrittenGroup"], typed: Typed) -> None:
     """Say what was found of each group of cameras, the largest last."""
     from mocap_calib.io.results.group import group_folder
-    from mocap_calib_cli import describe, ending
+    from mocap_calib_cli import ending
 
     for number in reversed(range(len(written))):  # the largest group, which counts, comes last
         files, folder = written[number], typed.output / group_folder(number)
         reporter.show(ending.camera_table(files.report))
         reporter.say(*ending.describe_group(files.report, folder), *files.notes)
         if number:  # what of the largest group cannot be had ends the run, in an error
-            reporter.say(*describe.describe_refused(files))
+            reporter.say(*(f"{name} is not written: {why}" for name, why in files.refused.items()))
         ending.conclude(
             reporter,
             files.report["verdict"],

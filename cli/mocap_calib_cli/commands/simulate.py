@@ -112,9 +112,9 @@ def _count_kinds(people: int | None, kinds: tuple[tuple[str, int], ...]) -> dict
     """Return the fields `people` and `animals` of the scene. Raises click's UsageError."""
     if people is not None and "people" in dict(kinds):
         raise click.UsageError("expected --people or --kind people, found both; leave one out")
-    numbers: dict[str, int] = {}
+    numbers = Counter[str]()
     for kind, number in kinds:
-        numbers[kind] = numbers.get(kind, 0) + number
+        numbers[kind] += number
     default = 0 if kinds else _DEFAULT.people
     found = numbers.pop("people", default) if people is None else people
     return {"people": found, "animals": tuple(numbers.items())}

@@ -36,7 +36,7 @@ def pairwise(typed: Typed) -> None:
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.screen import Reporter
 
-    outputs.check_text(typed.output)
+    outputs.check_file(typed.output)
     with Reporter(quiet=typed.quiet) as reporter:
         camera_file = inputs.load_camera_file(typed.cameras, "--cameras")
         recording = inputs.read_recording(typed, camera_file, reporter).recording
@@ -51,12 +51,7 @@ def pairwise(typed: Typed) -> None:
     outputs.write_text(typed.output, [pairs_to_json(pairs, recording.cameras).encode()])
 
 
-@as_command(
-    "average",
-    argument("pairs", values.PAIRS),
-    OUTPUT_TEXT,
-    "quiet",
-)
+@as_command("average", argument("pairs", values.INPUT), OUTPUT_TEXT, "quiet")
 def average(typed: Typed) -> None:
     """Find where all cameras stand (the rig) from PAIRS, the file of `pairwise`; - reads stdin.
 
@@ -67,6 +62,7 @@ def average(typed: Typed) -> None:
       mocap-calib average pairs.json -o rig.yaml
       mocap-calib pairwise keypoints/ --cameras intrinsics.toml | mocap-calib average -
 
+    pairs: File that `pairwise` wrote; - reads stdin.
     output: Where to write the cameras (YAML); - is stdout.
     """
     from mocap_calib.io.file import decode, read_bytes
@@ -78,8 +74,9 @@ def average(typed: Typed) -> None:
     from mocap_calib_cli.describe import describe_unused_cameras
     from mocap_calib_cli.screen import Reporter
 
-    outputs.check_text(typed.output)
-    source, name = inputs.open_input(typed.pairs, "PAIRS"), typed.pairs.replace(STDIO, "stdin")
+    outputs.check_file(typed.output)
+    source = inputs.open_input(typed.pairs, "PAIRS")
+    name = "stdin" if typed.pairs == STDIO else typed.pairs
     content = read_bytes(source) if isinstance(source, Path) else source
     pairs, cameras = pairs_from_json(decode(content, name), name)
     rig = average(pairs, cameras)
@@ -88,15 +85,7 @@ def average(typed: Typed) -> None:
     outputs.write_text(typed.output, [format_cameras_yaml(rig, provenance("average")).encode()])
 
 
-@as_command(
-    "match",
-    OUTPUT_TEXT,
-    "rig",
-    *options.MODEL,
-    "individuals",
-    *options.KEYPOINTS,
-    "quiet",
-)
+@as_command("match", OUTPUT_TEXT, "rig", *options.MODEL, "individuals", *options.KEYPOINTS, "quiet")
 def match(typed: Typed) -> None:
     """Label every detection with its individual, given where the cameras stand.
 
@@ -115,7 +104,7 @@ def match(typed: Typed) -> None:
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.screen import Reporter
 
-    outputs.check_text(typed.output)
+    outputs.check_file(typed.output)
     with Reporter(quiet=typed.quiet) as reporter:
         rig, loaded, _, _ = inputs.read_recording_of_rig(typed, reporter)
         config = Config(matching=MatchingConfig(individuals=typed.individuals))
@@ -128,7 +117,7 @@ def match(typed: Typed) -> None:
 @as_command(
     "adjust",
     OUTPUT_TEXT,
-    option("--matches-out", values.ANY_PATH, metavar="FILE"),
+    option("--matches-out", values.INPUT, metavar="FILE"),
     "rig",
     "matches",
     *options.MODEL,
@@ -159,8 +148,8 @@ def adjust(typed: Typed) -> int:
     from mocap_calib_cli.screen import Reporter
 
     ending.check_demands(typed)
-    outputs.check_text(typed.output)
-    outputs.check_text(typed.matches_out)
+    outputs.check_file(typed.output)
+    outputs.check_file(typed.matches_out)
     with Reporter(quiet=typed.quiet) as reporter:
         rig, loaded, matches, frames = inputs.read_recording_of_rig(typed, reporter)
         result, matches = bundle_adjust(
@@ -208,14 +197,7 @@ def triangulate(typed: Typed) -> None:
 
 
 @as_command(
-    "smooth",
-    OUTPUT_FILE,
-    "rig",
-    "matches",
-    "skeleton",
-    "smooth",
-    *options.KEYPOINTS,
-    "quiet",
+    "smooth", OUTPUT_FILE, "rig", "matches", "skeleton", "smooth", *options.KEYPOINTS, "quiet"
 )
 def smooth(typed: Typed) -> None:
     """Triangulate the 3D poses of all individuals, and fit them to motion and bones.

@@ -17,8 +17,7 @@ from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
     from mocap_calib.training.model import Model
-    from mocap_calib.training.poses import PoseSet, TrainingSource
-    from mocap_calib.types import Progress, Skeleton
+    from mocap_calib.training.poses import TrainingSource
 
 _DEFAULT = TrainConfig()
 
@@ -100,7 +99,14 @@ def command(typed: Typed) -> None:
     from mocap_calib.training import check_device, torch_threads
     from mocap_calib.training.model import TokenConfig, save_model
     from mocap_calib.training.poses import TrainingSource, load_pose_sets, load_vocabulary
-    from mocap_calib.training.train import model_card, training_config
+    from mocap_calib.training.train import (
+        held_out_error,
+        measure_steering_error,
+        model_card,
+        train_lifter,
+        train_steerer,
+        training_config,
+    )
     from mocap_calib_cli import outputs
     from mocap_calib_cli.screen import Reporter
 
@@ -119,10 +125,14 @@ def command(typed: Typed) -> None:
     config = replace(training_config(settings), seed=typed.seed, **asked)
     training, testing = load_pose_sets(source, vocabulary, config)
     with torch_threads(typed.threads), Reporter(quiet=typed.quiet) as reporter:
-        train = _train_steerer if is_token else _train_lifter
-        network, errors = train(
-            training, testing, vocabulary, config, device=typed.device, progress=reporter
-        )
+        known = {"device": typed.device, "progress": reporter}
+        if is_token:
+            pairs = PairsConfig()
+            network: Model = train_steerer(training, vocabulary, config, pairs, **known)
+            errors = measure_steering_error(network.cpu(), testing, vocabulary, pairs)
+        else:
+            network = train_lifter(training, vocabulary, config, **known)
+            errors = held_out_error(network.cpu(), testing, vocabulary, config)
     card = model_card(
         config,
         errors,
@@ -154,39 +164,3 @@ def _typed_command() -> str:
         Path(word).name if "/" in word or Path(word).exists() else word for word in sys.argv[1:]
     ]
     return shlex.join(["mocap-calib", *words])
-
-
-# --- the two networks
-
-
-def _train_lifter(
-    training: "PoseSet",
-    testing: "PoseSet",
-    vocabulary: "Skeleton",
-    config: TrainConfig,
-    *,
-    device: str,
-    progress: "Progress",
-) -> "tuple[Model, dict[str, float]]":
-    """Return our network, trained, and its errors on the poses for testing."""
-    from mocap_calib.training.train import held_out_error, train_lifter
-
-    lifter = train_lifter(training, vocabulary, config, device=device, progress=progress)
-    return lifter, held_out_error(lifter.cpu(), testing, vocabulary, config)
-
-
-def _train_steerer(
-    training: "PoseSet",
-    testing: "PoseSet",
-    vocabulary: "Skeleton",
-    config: TrainConfig,
-    *,
-    device: str,
-    progress: "Progress",
-) -> "tuple[Model, dict[str, float]]":
-    """Return the network of the paper, trained, and its errors on the poses for testing."""
-    from mocap_calib.training.train import measure_steering_error, train_steerer
-
-    pairs = PairsConfig()
-    steerer = train_steerer(training, vocabulary, config, pairs, device=device, progress=progress)
-    return steerer, measure_steering_error(steerer.cpu(), testing, vocabulary, pairs)

@@ -15,16 +15,12 @@ if TYPE_CHECKING:
     from mocap_calib.types import CameraRig
     from mocap_calib_cli.screen import Line, Table
 
-_CALIBRATION = values.PathOf(
-    "Expected a calibration, then the keypoints to judge it by: CAMERAS KEYPOINTS..."
-)
-
 
 @as_command(
     "verify",
-    option("-o --output", values.ANY_PATH, metavar="FILE"),
+    option("-o --output", values.INPUT, metavar="FILE"),
     option("--to", names.WRITTEN_CAMERA_FORMAT),
-    argument("rig", _CALIBRATION, "CAMERAS"),
+    argument("rig", values.INPUT, "CAMERAS"),
     "keypoints",
     *options.READING,
     *options.MODEL,
@@ -54,17 +50,21 @@ def command(typed: Typed) -> int:
       mocap-calib verify board.toml keypoints/ -o mended.toml --to anipose
       mocap-calib verify board.toml keypoints/ --json --strict
 
+    rig: Calibration, then the keypoints to judge it by: CAMERAS KEYPOINTS...
     output: Where to write CAMERAS with the cameras that moved where they are now; all else,
         coordinates and unit too, stays as given.
     to: Format of FILE, where its ending does not say it (docs/formats.md).
     as_json: Figures as JSON instead of a table.
     """
     from mocap_calib.config import Config
+    from mocap_calib.io.kinds import choose_format
     from mocap_calib.verdict.verify import verify
     from mocap_calib_cli import ending, inputs, outputs, screen
 
-    outputs.check_text(typed.output)
-    form = _choose_format(typed.output, typed.to)
+    outputs.check_file(typed.output)
+    if typed.to and typed.output is None:
+        raise click.UsageError("--to: expected a file to write, found none; give -o FILE")
+    form = typed.output and (typed.to or choose_format("cameras", typed.output))
     with screen.Reporter(quiet=typed.quiet) as reporter:
         given, camera_file = inputs.read_rig(typed.rig, "CAMERAS")
         rig, loaded = inputs.read_recording_of(given, camera_file, typed, reporter)
@@ -82,7 +82,7 @@ def command(typed: Typed) -> int:
         click.echo(json.dumps(figures, indent=1, allow_nan=False))
     else:
         screen.show(*_describe(found, absent), err=False)
-    if form is not None:
+    if form:
         _write(typed.output, form, given, found)
     return 1 if found.named else ending.exit_status(found.verdict, typed)
 
@@ -120,15 +120,6 @@ def _reasons(found: "Verification") -> list[str]:
     from mocap_calib.errors import spell_as_option
 
     return [reason.render(spell_as_option) for reason in found.reasons]
-
-
-def _choose_format(output: str | None, target: str | None) -> str | None:
-    """Return the format of the file to write. Raises MismatchError where nothing says it."""
-    from mocap_calib.io.kinds import choose_format
-
-    if output is None and target is not None:
-        raise click.UsageError("--to: expected a file to write, found none; give -o FILE")
-    return None if output is None else target or choose_format("cameras", output)
 
 
 def _describe(found: "Verification", absent: list[str]) -> "list[Table | Line]":
