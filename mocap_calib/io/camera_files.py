@@ -19,7 +19,7 @@ from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
 from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.document import Document, as_document
-from mocap_calib.io.file import find_repeated
+from mocap_calib.io.file import camera_name, find_repeated, name_media
 from mocap_calib.io.format import Format, FormatTable, Written
 from mocap_calib.io.formats import (
     anipose,
@@ -31,8 +31,6 @@ from mocap_calib.io.formats import (
     openmvg,
     own_cameras,
 )
-from mocap_calib.io.media import name_media
-from mocap_calib.io.names import camera_name
 from mocap_calib.io.provenance import describe_judgement, read_description
 from mocap_calib.io.units import ARBITRARY, known_unit, refuse_unit, unit_factor
 from mocap_calib.recording.names import compose_name

@@ -11,8 +11,8 @@ import numpy as np
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
 from mocap_calib.io.document import need, typed
+from mocap_calib.io.file import unsigned_zeros
 from mocap_calib.io.provenance import read_judgement
-from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.results import ObservedPoints
 from mocap_calib.types import Camera, CameraClock, CameraRig, Floats, World
 

@@ -1,18 +1,25 @@
-"""The bytes of files, the names in them, and limits of numbers that formats share."""
+"""The bytes of files, the names and zeros in them, limits of numbers, and files of another kind."""
 
 import codecs
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-from mocap_calib.errors import FormatError
+import numpy as np
+
+from mocap_calib.errors import FormatError, one_line
+from mocap_calib.recording.names import compose_name
 
 MOST_POINTS = 100_000_000  # in a camera: 2.4 GB
 LARGEST_FRAME = 2**62  # so that the difference of two frame numbers is an int64 as well
 LARGEST_EXACT_FLOAT = 2**53  # whole numbers beyond it are not exact in a float
+_VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".wmv", ".mpg", ".mpeg", ".mts", ".flv")
+_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp")
+_ESTIMATORS = "DeepLabCut, SLEAP, Lightning Pose, OpenPose, AlphaPose, MMPose, Ultralytics, ..."
+_LISTED = 3  # names of files in a message
 
 
 def plain_path(argument: str | Path) -> Path:
@@ -77,3 +84,62 @@ class Origin:
 
     camera: str
     source: str
+
+
+def camera_name(name: str, source: str) -> str:
+    """Return the name of a camera as names are compared, see `compose_name`.
+
+    source: the file that it is of.
+
+    Raises FormatError where it is no text, as that of a file whose name is not UTF-8: no file that
+    is written could hold it.
+    """
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        remedy = "rename the file or the camera, or say name=path"
+        raise FormatError(source, "a camera name in UTF-8", name, remedy) from None
+    return compose_name(name)
+
+
+def unsigned_zeros(value: Any) -> Any:
+    """Return nested mappings, lists and numbers in which -0.0 is 0.0; arrays become lists.
+
+    The sign of a zero is left over from a product or a rounding, and says nothing.
+    """
+    if isinstance(value, np.ndarray):
+        return (value + 0.0).tolist()
+    if isinstance(value, Mapping):
+        return {key: unsigned_zeros(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [unsigned_zeros(each) for each in value]
+    return value + 0.0 if isinstance(value, float) else value
+
+
+def name_media(path: Path) -> str:
+    """Return "a video" or "an image" where the ending of a path says so, else "".
+
+    Videos are too large to be opened for it.
+    """
+    ending = path.suffix.lower()
+    if ending in _VIDEOS:
+        return "a video"
+    return "an image" if ending in _IMAGES else ""
+
+
+def check_no_media(path: Path, endings: Sequence[str]) -> None:
+    """Raise FormatError for a video, an image, or a folder with some: no keypoints were found yet.
+
+    endings: of files of keypoints.
+    """
+    files = sorted([*path.glob("*"), *path.glob("*/*")]) if path.is_dir() else [path]
+    media = {file.name: name_media(file) for file in files if name_media(file)}
+    if media:
+        found = media.get(path.name, "")
+        if path.is_dir():
+            kinds = " and ".join(sorted({f"{kind.split()[1]}s" for kind in media.values()}))
+            more = ", ..." if len(media) > _LISTED else ""
+            found = f"{kinds} ({', '.join(sorted(media)[:_LISTED])}{more})"
+        run = f"run a 2D pose estimator first ({_ESTIMATORS}), and give the files that it writes"
+        remedy = f"{run}: {', '.join(endings)} (docs/formats.md)"
+        raise FormatError(one_line(path, 300), "files of 2D keypoints", found, remedy)

@@ -1,11 +1,12 @@
 """Read and write keypoint files: a camera each, or several; files, or folders of frames."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
@@ -15,6 +16,7 @@ from mocap_calib.io.cameras import FILE_NAME, need_names
 from mocap_calib.io.crash_guard import end_calls, guard_hdf5
 from mocap_calib.io.detections import check_cameras, find_camera, frame_number
 from mocap_calib.io.document import Document, as_document
+from mocap_calib.io.file import camera_name, check_no_media, find_repeated
 from mocap_calib.io.format import FormatTable, Written
 from mocap_calib.io.formats import (
     coco,
@@ -29,8 +31,6 @@ from mocap_calib.io.formats import (
     tables,
     ultralytics,
 )
-from mocap_calib.io.media import check_no_media, check_no_media_alone
-from mocap_calib.io.names import camera_name
 from mocap_calib.io.read_options import ReadOptions, apply_offsets, convert_to_pixels, split_views
 from mocap_calib.types import Keypoints2D, Reals
 
@@ -104,19 +104,19 @@ def read_what_can(
     else:
         several = [paths] if isinstance(paths, str | Path) else paths
         documents = list_documents(several, options, format)
-    _check_cameras_once([(each.camera, each.source) for each in documents if each.camera])
-    views: list[Keypoints2D] = []
-    errors: list[MocapCalibError] = []
+    found: list[tuple[Keypoints2D, ...] | MocapCalibError] = []
     try:
-        for found in _read_all(documents, format, options):
-            if isinstance(found, MocapCalibError):
-                errors.append(found)
-            else:
-                views += found
+        found.extend(_read_all(documents, format, options))
     except BaseException:
         end_calls()  # of threads, which Ctrl-C does not reach
         raise
-    _check_cameras_once([(view.camera, view.source) for view in views])
+    errors = [each for each in found if isinstance(each, MocapCalibError)]
+    views = [view for each in found if not isinstance(each, MocapCalibError) for view in each]
+    cameras = [view.camera for view in views]
+    for camera in find_repeated(cameras):
+        files = " and ".join(view.source for view in views if view.camera == camera)
+        twice, remedy = f"{files} for camera {camera}", "leave one out, or say name=path"
+        raise MismatchError("", "one keypoint file per camera", twice, remedy)
     return (tuple(views), errors) if errors else (apply_offsets(views, options), [])
 
 
@@ -126,16 +126,6 @@ def looks_like_keypoints(path: Path) -> bool:
         return bool(_sniffed(list_documents([path], ReadOptions())[0]).format)
     except MocapCalibError:
         return False
-
-
-def _check_cameras_once(found: list[tuple[str, str]]) -> None:
-    """Raise MismatchError where a camera occurs twice in (camera, source) pairs."""
-    cameras = [camera for camera, _ in found]
-    for camera in cameras:
-        if cameras.count(camera) > 1:
-            files = " and ".join(source for other, source in found if other == camera)
-            twice, remedy = f"{files} for camera {camera}", "leave one out, or say name=path"
-            raise MismatchError("", "one keypoint file per camera", twice, remedy)
 
 
 def _read_all(
@@ -150,16 +140,14 @@ def _read_all(
     def read(document: Document) -> tuple[Keypoints2D, ...] | MocapCalibError:
         try:
             views = guard_hdf5(document, _read, document, format, options)
-            return tuple(_copy(view, lambda block: block) for view in views)  # out of memory
+            return tuple(_copy(view, view.positions.dtype) for view in views)  # out of memory
         except MocapCalibError as error:
             return error
 
     waiting = (documents.pop(0) for _ in range(len(documents)))  # a document holds its file
-    for apart, some in groupby(waiting, _is_hdf5):
-        if apart:
-            yield from map_in_threads(read, some)
-        else:
-            yield from map(read, some)
+    for is_hdf5, some in groupby(waiting, _is_hdf5):
+        run = map_in_threads if is_hdf5 else map
+        yield from run(read, some)
 
 
 def _is_hdf5(document: Document) -> bool:
@@ -188,18 +176,18 @@ def _read(document: Document, format: str | None, options: ReadOptions) -> tuple
     for view in (part for whole in views for part in split_views(whole, options.views)):
         scaled = convert_to_pixels(view, options.size_of(view.camera))
         if options.single_precision:
-            scaled = _copy(scaled, lambda block: block.astype(np.float32))
+            scaled = _copy(scaled, np.float32)
         read.append(replace(scaled, camera=camera_name(view.camera, source)))
     return tuple(read)
 
 
-def _copy(view: Keypoints2D, change: Callable[[Reals], Reals]) -> Keypoints2D:
-    """Return the view with what becomes of its arrays, block by block; long ones lie on disk."""
+def _copy(view: Keypoints2D, kind: DTypeLike) -> Keypoints2D:
+    """Return the view with arrays of a type, copied block by block; long ones lie on disk."""
 
-    def changed(array: Reals) -> Reals:
-        return mapped.in_blocks(lambda block: change(array[block]), len(array))
+    def copied(array: Reals) -> Reals:
+        return mapped.in_blocks(lambda block: array[block].astype(kind), len(array))
 
-    return replace(view, positions=changed(view.positions), confidence=changed(view.confidence))
+    return replace(view, positions=copied(view.positions), confidence=copied(view.confidence))
 
 
 # --- the documents in files and folders
@@ -253,10 +241,12 @@ def _of_path(path: Path, options: ReadOptions, format: str | None) -> list[Docum
 
     Raises MismatchError, and FormatError for videos and images.
     """
-    check_no_media(path, SUFFIXES)
-    found = _of_folder(path, format) if path.is_dir() else [Document(path, camera=_stem(path))]
+    found = _of_folder(path, format) if path.is_dir() else []
     if not found:
-        check_no_media_alone(path, SUFFIXES)
+        check_no_media(path, SUFFIXES)
+    if not found and not path.is_dir():
+        found = [Document(path, camera=_stem(path))]
+    if not found:
         expected = f"keypoint files ({', '.join(SUFFIXES)}) in the folder"
         raise MismatchError(path, expected, "none", "name the files themselves")
     if not options.camera_pattern:
@@ -271,23 +261,12 @@ def _of_folder(folder: Path, format: str | None) -> list[Document]:
     """Return the documents of a folder: of its files, of its folders, or of both."""
     files, folders = _of_files(folder, format), _of_subfolders(folder, format)
     if files and folders:
-        files, files_show = _sniff_until_keypoints(files, format)
-        folders, folders_show = _sniff_until_keypoints(folders, format)
+        files_show, folders_show = (
+            any(_sniffed(each, format).format != "" for each in some) for some in (files, folders)
+        )
         if files_show != folders_show:
             return files if files_show else folders
     return files + folders
-
-
-def _sniff_until_keypoints(
-    documents: list[Document], format: str | None
-) -> tuple[list[Document], bool]:
-    """Return the documents, sniffed up to the first with keypoints, and whether there is one."""
-    sniffed: list[Document] = []
-    for number, document in enumerate(documents, 1):
-        sniffed.append(_sniffed(document, format))
-        if sniffed[-1].format != "":
-            return sniffed + documents[number:], True
-    return sniffed, False
 
 
 def _of_files(folder: Path, format: str | None) -> list[Document]:

@@ -1,14 +1,14 @@
 """Find out what kind of files are given, and in which format to write them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 from mocap_calib.errors import MismatchError, argument, suggest
 from mocap_calib.io.camera_files import CAMERA_FORMATS, looks_like_cameras
-from mocap_calib.io.file import plain_path
+from mocap_calib.io.file import check_no_media, plain_path
 from mocap_calib.io.format import FormatTable, Kind, ending_of
 from mocap_calib.io.keypoints import KEYPOINT_FORMATS, SUFFIXES, looks_like_keypoints
-from mocap_calib.io.media import check_no_media
 from mocap_calib.io.pose_files import POSE_FORMATS, looks_like_poses
 
 # in the order in which content is looked at
@@ -26,7 +26,8 @@ def check_sources(sources: Sequence[str | Path]) -> None:
     Raises FormatError for a video or an image.
     """
     for path in map(plain_path, sources):
-        check_no_media(path, SUFFIXES)
+        if not path.is_dir():
+            check_no_media(path, SUFFIXES)
         if not path.exists():
             raise MismatchError(path, "a file or folder", "none", "check the path")
 
@@ -65,21 +66,13 @@ def choose_format(kind: Kind, output: str | Path) -> str:
     by_ending = FORMATS[kind].by_ending
     names = by_ending.get(ending_of(output), ())
     if len(names) > 1:
-        raise MismatchError(
-            output,
-            f"the format of {kind} beside the ending",
-            "none",
-            f"say {' or '.join(argument('to', name) for name in names)}",
-        )
+        remedy = f"say {' or '.join(argument('to', name) for name in names)}"
+        raise MismatchError(output, f"the format of {kind} beside the ending", "none", remedy)
     if not names:
         known = ", ".join(f"{end} ({own[0]})" for end, own in by_ending.items() if len(own) == 1)
         written = ", ".join(FORMATS[kind].written)
-        raise MismatchError(
-            output,
-            f"an ending of {known}, or {argument('to')} and one of {written}",
-            "neither",
-            "name the format",
-        )
+        expected = f"an ending of {known}, or {argument('to')} and one of {written}"
+        raise MismatchError(output, expected, "neither", "name the format")
     return names[0]
 
 
@@ -87,23 +80,17 @@ def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
     """Return the kinds that have formats of these names; all where none is named."""
     kinds = list(FORMATS)
     for option, name in ((argument("from"), format), (argument("to"), to)):
-        if name is None:
-            continue
         is_read = option == argument("from")
         known = {kind: each.read if is_read else each.names for kind, each in FORMATS.items()}
         having = [kind for kind in FORMATS if name in known[kind]]
-        if not having:
-            listed = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in known.items())
-            every = [each for names in known.values() for each in names]
-            raise MismatchError(option, f"a format ({listed})", f"{name!r}", suggest(name, every))
-        fitting = [kind for kind in kinds if kind in having]
+        if name is not None and not having:
+            expected = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in known.items())
+            remedy = suggest(name, chain(*known.values()))
+            raise MismatchError(option, f"a format ({expected})", f"{name!r}", remedy)
+        fitting = [kind for kind in kinds if name is None or kind in having]
         if not fitting:
-            raise MismatchError(
-                option,
-                f"a format of {' or '.join(sorted(kinds))}, as {format} is",
-                name,
-                "choose another",
-            )
+            expected = f"a format of {' or '.join(sorted(kinds))}, as {format} is"
+            raise MismatchError(option, expected, name, "choose another")
         kinds = fitting
     return kinds
 
@@ -117,37 +104,28 @@ def _check_kind(sources: Sequence[str | Path], kind: Kind, to: str) -> None:
         return
     other = next((each for each in FORMATS if _looks_like(each, sources)), None)
     if other is not None:
-        names = ", ".join(FORMATS[other].written)
-        raise MismatchError(
-            argument("to", to),
-            f"a format of {other}, which INPUT holds",
-            f"one of {kind}",
-            f"choose one of {names}",
-        )
+        expected = f"a format of {other}, which INPUT holds"
+        remedy = f"choose one of {', '.join(FORMATS[other].written)}"
+        raise MismatchError(argument("to", to), expected, f"one of {kind}", remedy)
 
 
 def _looks_like(kind: Kind, sources: Sources) -> bool:
     """Return whether the first source shows this kind; a pipe that is named is not read for it.
 
-    Raises FormatError where its JSON, TOML or YAML is broken.
+    Content of no other kind is taken for keypoints. Raises FormatError where its JSON, TOML or
+    YAML is broken.
     """
     if isinstance(sources, bytes):
-        return _content_looks_like(kind, sources)
+        return kind != "keypoints" and _LOOKS_LIKE[kind](sources)
     path = plain_path(sources[0])
     if kind == "keypoints":
         return (path.is_dir() or path.is_file()) and looks_like_keypoints(path)
-    first = path
-    if kind == "poses" and (path / OWN_POSES).is_file():
-        first = path / OWN_POSES
-    elif path.is_dir():
-        first = min((file for file in path.iterdir() if file.is_file()), default=path)
-    if not first.is_file():
-        return False
-    return looks_like_poses(first) if kind == "poses" else looks_like_cameras(path)
+    files = (path / OWN_POSES, path, *(sorted(path.iterdir()) if path.is_dir() else ()))
+    first = next((file for file in files if file.is_file()), None)
+    return first is not None and _LOOKS_LIKE[kind](first if kind == "poses" else path)
 
 
-def _content_looks_like(kind: Kind, content: bytes) -> bool:
-    """Return whether the content of a file shows this kind; keypoints are told by elimination."""
-    if kind == "poses":
-        return looks_like_poses(content)
-    return kind == "cameras" and looks_like_cameras(content)
+_LOOKS_LIKE: Mapping[Kind, Callable[[Path | bytes], bool]] = {
+    "poses": looks_like_poses,
+    "cameras": looks_like_cameras,
+}

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mocap_calib.io.zeros import unsigned_zeros
+from mocap_calib.io.file import unsigned_zeros
 from mocap_calib.types import METRES, World
 
 

@@ -13,6 +13,7 @@ from mocap_calib.errors import MismatchError, spell_as_option
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import source_of_group
 from mocap_calib.io.atomic import replace_folder, write_bytes
+from mocap_calib.io.file import unsigned_zeros
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses import PoseFile, describe_poses
 from mocap_calib.io.provenance import date_of_making, provenance
@@ -26,7 +27,6 @@ from mocap_calib.io.results.group import (
     write_group,
     write_run_json,
 )
-from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.lift.lifter import load_vocabulary
 from mocap_calib.recording.corrections import (
     Epoch,

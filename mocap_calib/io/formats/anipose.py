@@ -30,11 +30,11 @@ from mocap_calib.io.cameras import (
     pick,
 )
 from mocap_calib.io.document import Document, describe_names
+from mocap_calib.io.file import unsigned_zeros
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.formats.own_cameras import estimated_fields
 from mocap_calib.io.provenance import plain_fields
 from mocap_calib.io.world_fields import read_world, stated_world
-from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera, PosedCamera
 
 # sections that Pose2Sim passes over

@@ -17,10 +17,10 @@ import yaml
 from mocap_calib.geometry.rotation import rig_size
 from mocap_calib.io.cameras import CameraFile, RawCamera, collect_cameras
 from mocap_calib.io.document import Document, typed
+from mocap_calib.io.file import unsigned_zeros
 from mocap_calib.io.format import Format, Written
 from mocap_calib.io.provenance import plain_fields, read_judgement, round_sigma
 from mocap_calib.io.world_fields import read_world, stated_world
-from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import ARBITRARY, Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
 
 VERSION = 1

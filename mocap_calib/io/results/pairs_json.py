@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from mocap_calib.errors import FormatError, one_line
 from mocap_calib.io.atomic import write_bytes
+from mocap_calib.io.file import unsigned_zeros
 from mocap_calib.io.formats.own_cameras import camera_fields, camera_from_fields
-from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.results import PairwiseCalibration
 from mocap_calib.types import Camera, Ints, Mapper, check_shape
 
