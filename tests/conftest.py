@@ -48,12 +48,6 @@ def load_script(path: Path) -> ModuleType:
     return module
 
 
-@pytest.fixture
-def two_processors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a machine of two processors; the tests themselves run on one."""
-    monkeypatch.setattr("mocap_calib.compute.parallel.thread_count", lambda: 2)
-
-
 @pytest.fixture(scope="module", autouse=True)
 def _kept_coverage() -> Iterator[None]:
     """End the process that reads HDF5 with each file: what damage ends does not say what it ran."""

@@ -5,8 +5,6 @@ import base64
 import importlib.util
 import json
 import re
-import shutil
-import subprocess
 import sys
 import zlib
 from dataclasses import replace
@@ -248,64 +246,6 @@ def test_points_of_a_blender_scene_are_hidden_where_they_are_missing(script):
         for a, b, c in zip(track[0], *track[3:], strict=True)
     ]
     assert keys == places + 2 * [([(10, 0.0), (11, 1.0), (14, 0.0)], "CONSTANT")]
-
-
-CHECK = """
-import json, runpy, sys
-import bpy
-from bpy_extras.object_utils import world_to_camera_view
-made = runpy.run_path(sys.argv[-1], run_name="__main__")
-scene = bpy.data.scenes["poses"]
-scene.frame_set(18)
-seen = scene.view_layers[0].depsgraph
-place = lambda name: bpy.data.objects[name].evaluated_get(seen).matrix_world.translation
-cameras = {}
-for camera in bpy.data.collections["cameras"].objects:
-    made["look_through"](scene, camera)
-    scene.view_layers[0].update()
-    x, y, z = world_to_camera_view(scene, camera, place("individual_1 left_wrist"))
-    cameras[camera.name] = [x * camera["width"] - 0.5, (1 - y) * camera["height"] - 0.5]
-bone = bpy.data.objects["individual_0 bones"].evaluated_get(seen).pose.bones["left_hip-left_knee"]
-print("FOUND", json.dumps({
-    "cameras": cameras,
-    "knee": [list(bone.tail), list(place("individual_0 left_knee"))],
-    "hidden": bpy.data.objects["individual_0 left_elbow"].hide_render,
-    "objects": len(scene.objects),
-    "range": [scene.frame_start, scene.frame_end, scene.render.fps / scene.render.fps_base],
-    "floor": "floor" in scene.objects,
-}))
-"""
-
-
-@pytest.mark.skipif(shutil.which("blender") is None, reason="Blender is not installed")
-def test_blender_builds_what_we_mean(tmp_path):
-    """Measured: 0.001 px."""
-    poses, rig = made(COCO, people=2)
-    poses.positions[8, 0, 3] = np.nan
-    rig = odd_cameras(rig)
-    as_run(tmp_path, poses, rig)
-    assert call("convert", ".", "x.py", "--to", "blender", folder=tmp_path).status == 0
-    (tmp_path / "check.py").write_text(CHECK, encoding="utf-8", newline="\n")
-    done = subprocess.run(
-        ["blender", "-b", "--factory-startup", "-noaudio", "--python-exit-code", "3", "--python"]
-        + [tmp_path / "check.py", "--", tmp_path / "x.py"],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    line = next(line for line in done.stdout.splitlines() if line.startswith("FOUND"))
-    found = json.loads(line.removeprefix("FOUND"))
-    expected = rig.project(poses.positions[8, 1, COCO.index("left_wrist")])
-    for name, pixel in zip(rig.names, expected, strict=True):
-        np.testing.assert_allclose(found["cameras"][name], pixel, atol=0.1)
-    np.testing.assert_allclose(*found["knee"], atol=1e-4)
-    knee = poses.positions[8, 0, COCO.index("left_knee")]
-    np.testing.assert_allclose(found["knee"][1], knee, atol=1e-3)
-    assert (found["hidden"], found["floor"]) == (True, True)
-    assert found["objects"] == 2 * (len(COCO) + 1) + 4 + 1  # points, bones, cameras, floor
-    assert found["range"] == pytest.approx([10, 69, FPS])
 
 
 def test_rerun_is_written_where_its_package_is(tmp_path):

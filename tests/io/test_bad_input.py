@@ -178,23 +178,6 @@ def test_a_missing_point_is_counted_however_it_is_written(tmp_path):
     assert found["frames"] == {"count": 5, "first": 0, "last": 20, "gaps": [[2, 4], [7, 19]]}
 
 
-@pytest.mark.parametrize(
-    "option",
-    [("--image-size", text) for text in ("wide", "-640x480", "0x480", "0x8", "8x0")]
-    + [("--frame-offset", "3"), ("--frame-offset", "a:x"), ("--crop-offset", "a:1")]
-    + [("--camera-regex", "(")],
-    ids=" ".join,
-)
-@pytest.mark.parametrize("command", [("inspect",), ("convert", "--to", "csv"), ("run", "-o", "x")])
-def test_options_that_make_no_sense_are_usage_errors(tmp_path, option, command):
-    write_coco(tmp_path, "ab")
-    paths = ("a.json", "out") if command[0] == "convert" else ("a.json", "b.json")
-    done = call(command[0], *paths, *command[1:], *option, folder=tmp_path)
-    assert done.status == 2
-    assert "expected" in done.stderr[-1]
-    assert len(list(tmp_path.iterdir())) == 2
-
-
 # --- reading
 
 

@@ -1,6 +1,5 @@
 """What a run writes: files whole or not at all, tables that are read again, and what is refused."""
 
-import csv
 import json
 import os
 import re
@@ -164,17 +163,11 @@ def test_the_date_is_that_of_a_reproducible_build(folder, monkeypatch):
 
 
 def test_matches_have_a_row_per_detection(made):
-    with (made / "matches.csv").open(newline="") as file:
-        rows = list(csv.reader(file))
-    assert rows[0] == ["camera", "frame", "instance", "individual"]
-    found = {(camera, int(frame), int(instance)) for camera, frame, instance, _ in rows[1:]}
-    expected = {
-        (view.camera, int(view.frames[frame]), int(instance))
-        for view in mc.read_keypoints(made / "scene" / "keypoints")
-        for frame, instance in np.argwhere(np.isfinite(view.positions).any((2, 3)))
-    }
-    assert found == expected
-    assert len(rows) == 1 + len(found)
+    head, *rows = (made / "matches.csv").read_text().splitlines()
+    views = mc.read_keypoints(made / "scene" / "keypoints")
+    seen = sum(int(np.isfinite(view.positions).any((2, 3)).sum()) for view in views)
+    named = {row.rpartition(",")[0] for row in rows}
+    assert (f"{head}\n", len(rows), len(named)) == (HEAD, seen, seen)
 
 
 def test_matches_are_read_in_any_order_with_any_line_end_and_gaps(folder):
@@ -252,64 +245,12 @@ def test_pairs_are_strict_json_and_read_without_alternatives(folder):
 # --- poses and further formats
 
 
-def test_tables_of_poses_have_anipose_s_columns_and_all_digits(made):
-    poses = mc.read_poses(made / "poses3d.h5")
-    columns = {"x": poses.positions[..., 0], "y": poses.positions[..., 1]}
-    columns |= {"z": poses.positions[..., 2], "error": poses.error, "ncams": poses.views}
-    columns |= {"score": poses.confidence}
-    for individual in range(poses.positions.shape[1]):
-        with (made / f"poses3d_{individual}.csv").open(newline="") as file:
-            head, *rows = csv.reader(file)
-        cells = np.array([[float(cell or "nan") for cell in row] for row in rows])
-        table = dict(zip(head, cells.T, strict=True))
-        assert head[:6] == [f"{poses.keypoints[0]}_{field}" for field in columns]
-        assert head[-4:] == ["center_0", "center_1", "center_2", "fnum"]
-        assert table["fnum"].tolist() == poses.frames.tolist()
-        for k, name in enumerate(poses.keypoints):
-            for field, array in columns.items():
-                np.testing.assert_array_equal(table[f"{name}_{field}"], array[:, individual, k])
-
-
-def test_a_table_of_one_individual_is_not_written_beside_those_of_several(folder):
-    assert call(*TRIANGULATE, "matches.csv", "-o", "p.csv", folder=folder).status == 0
-    assert {"p_0.csv", "p_1.csv"} <= set(contents(folder))
-    (folder / "p_2.csv").touch()
-    done = call(*TRIANGULATE, "matches.csv", "-o", "p.csv", folder=folder)
-    assert "p_2.csv: expected no file of a further individual" in done.stderr[-1]
-    head, *rows = (folder / "matches.csv").read_text().splitlines()
-    alone = [row for row in rows if row.endswith(",0")]
-    for name, kept, words in (("one", alone, "p_0.csv"), ("none", [], "at least one individual")):
-        (folder / f"{name}.csv").write_text("\n".join([head, *kept]))
-        done = call(*TRIANGULATE, f"{name}.csv", "-o", "p.csv", folder=folder)
-        assert words in done.stderr[-1]
-
-
-@pytest.mark.parametrize(
-    ("name", "old", "new", "said"),
-    [
-        ("colmap", "cam1", "cam 1", "'cam 1'"),
-        (
-            "nerfstudio",
-            "distortions = [",
-            "distortions = [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, ",
-            "5 dist",
-        ),
-        ("openmvg", "size = [", "old = [", "the image size|one focal length"),
-    ],
-)
-def test_what_a_format_cannot_hold_is_refused_before_a_run(name, old, new, said, folder):
+def test_what_a_format_cannot_hold_is_refused_before_a_run(folder):
     path = folder / "scene" / "intrinsics.toml"
-    rig_of = mc.read_cameras(path)
-    text = path.read_text()
-    if old == "cam1":
-        (folder / "scene" / "keypoints" / "cam1.json").rename(folder / "scene/keypoints/cam 1.json")
-    if name == "nerfstudio":
-        text = re.sub(r"distortions = \[[^\]]*\]", f"distortions = {[0.1] * 8}", text, count=1)
-    path.write_text(text.replace(f'"{old}"', f'"{new}"') if old == "cam1" else text)
-    assert len(rig_of) == 3
-    done = call(*RUN, "new", "--write", name, folder=folder)
-    assert done.status == 1
-    assert re.search(said, done.stderr[-1]), done.stderr
+    given = re.sub(r"distortions = \[[^\]]*\]", f"distortions = {[0.1] * 8}", path.read_text())
+    path.write_text(given)
+    done = call(*RUN, "new", "--write", "nerfstudio", folder=folder)
+    assert (done.status, "5 dist" in done.stderr[-1]) == (1, True)
     assert not (folder / "new").exists()
 
 
