@@ -136,16 +136,14 @@ def convert_poses(
     """
     if isinstance(sources, bytes):
         name = NAMELESS
-        file = load_poses(sources, format, input_unit)
+        file = _fill_rate(load_poses(sources, format, input_unit), fps, name)
     else:
         name = str(sources[0])
-        file = _read_individuals(sources, format, input_unit)
-    if POSE_FORMATS.find(to).rig and not isinstance(sources, bytes):
-        file = _add_cameras(file, sources[0])
+        file = load_pose_sources(sources, format, fps, input_unit)
+        if POSE_FORMATS.find(to).rig:
+            file = _add_cameras(file, sources[0])
     if unit is not None:
         file = convert_unit(file, unit, f"{name}: {argument('unit', unit)}")
-    if fps is not None:
-        file = fill_rate(file, fps, name)
     if up is not None:
         file = turn_up_axis(file, up)
     frames, individuals, keypoints = file.poses.positions.shape[:3]
@@ -195,9 +193,9 @@ def convert_keypoints(
 def _leave_out_unplaced(found: CameraFile) -> CameraFile:
     """Return the cameras that have extrinsics, with a note of the others; all where none has."""
     placed = tuple(camera for camera in found.cameras if camera.name in found.extrinsics)
-    if not placed or len(placed) == len(found.cameras):
+    bare = [camera.name for camera in found.cameras if camera not in placed]
+    if not placed or not bare:
         return found
-    bare = [camera.name for camera in found.cameras if camera.name not in found.extrinsics]
     note = f"left out, as nothing says where they stand: {', '.join(bare)}"
     return replace(found, cameras=placed, notes=(*found.notes, note))
 
@@ -210,30 +208,13 @@ def _fill_sizes(found: CameraFile, size: tuple[int, int], source: str) -> Camera
     if size == (0, 0):
         return found
     if not any(0 in camera.size for camera in found.cameras):
-        raise MismatchError(
-            source,
-            f"cameras without an image size, for {argument('image_size')}",
-            "one for each",
-            "leave it out",
-        )
-    cameras = (
-        replace(camera, size=size) if 0 in camera.size else camera for camera in found.cameras
-    )
-    return replace(found, cameras=tuple(cameras))
+        expected = f"cameras without an image size, for {argument('image_size')}"
+        raise MismatchError(source, expected, "one for each", "leave it out")
+    filled = (replace(each, size=size) if 0 in each.size else each for each in found.cameras)
+    return replace(found, cameras=tuple(filled))
 
 
 # --- poses
-
-
-def load_pose_sources(
-    sources: Sequence[Path], format: str | None = None, fps: float | None = None
-) -> PoseFile:
-    """Read all individuals in files, folders of files and folders of runs.
-
-    The arguments are those of `convert_poses`. Raises FormatError and MismatchError.
-    """
-    file = _read_individuals(sources, format, None)
-    return file if fps is None else fill_rate(file, fps, str(sources[0]))
 
 
 def _add_cameras(file: PoseFile, source: Path) -> PoseFile:
@@ -252,8 +233,16 @@ def _add_cameras(file: PoseFile, source: Path) -> PoseFile:
     return replace(file, notes=(*file.notes, note))
 
 
-def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | None) -> PoseFile:
-    """Read all individuals in files and folders of files. Raises FormatError and MismatchError."""
+def load_pose_sources(
+    sources: Sequence[Path],
+    format: str | None = None,
+    fps: float | None = None,
+    unit: str | None = None,
+) -> PoseFile:
+    """Read all individuals in files, folders of files and folders of runs.
+
+    The arguments are those of `convert_poses`. Raises FormatError and MismatchError.
+    """
     endings = {end for each in POSE_FORMATS if each.read for end in each.endings}
     paths: list[Path] = []
     for source in sources:
@@ -264,28 +253,22 @@ def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | N
         else:
             paths.append(source)
     if not paths:
-        raise MismatchError(
-            sources[0],
-            f"files of poses ({', '.join(sorted(endings))})",
-            "none",
-            "give the files themselves",
-        )
+        expected = f"files of poses ({', '.join(sorted(endings))})"
+        raise MismatchError(sources[0], expected, "none", "give the files themselves")
     files = [load_poses(path, format, unit) for path in paths]
-    return join_individuals(files, ", ".join(map(str, paths)))
+    return _fill_rate(join_individuals(files, ", ".join(map(str, paths))), fps, str(sources[0]))
 
 
-def fill_rate(file: PoseFile, fps: float, source: str) -> PoseFile:
-    """Return the poses with the user's frames per second.
+def _fill_rate(file: PoseFile, fps: float | None, source: str) -> PoseFile:
+    """Return the poses with the user's frames per second, where there are any.
 
     Raises MismatchError where they have others.
     """
-    if np.isfinite(file.rate) and file.rate != fps:
-        raise MismatchError(
-            source,
-            f"{file.rate:g} frames per second, as the file says",
-            f"{argument('fps', f'{fps:g}')}",
-            "leave it out",
-        )
+    if fps is None or file.rate == fps:
+        return file
+    if np.isfinite(file.rate):
+        expected = f"{file.rate:g} frames per second, as the file says"
+        raise MismatchError(source, expected, argument("fps", f"{fps:g}"), "leave it out")
     return replace(file, rate=fps)
 
 

@@ -14,7 +14,6 @@ from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.atomic import individual_files, write_bytes, write_files
 from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.document import Document, as_document
-from mocap_calib.io.file import find_repeated
 from mocap_calib.io.format import FormatTable, Written
 from mocap_calib.io.formats import (
     anipose_csv,
@@ -33,6 +32,7 @@ from mocap_calib.io.pose_axes import turn_upright
 from mocap_calib.io.poses import UNNAMED, PoseFile, check_poses
 from mocap_calib.io.units import ARBITRARY, refuse_unit
 from mocap_calib.results import Poses3D
+from mocap_calib.types import Ints, Reals
 
 OWN = "poses-h5"  # the format of a run
 
@@ -111,16 +111,46 @@ def join_individuals(files: Sequence[PoseFile], source: str) -> PoseFile:
     first = files[0]
     if len(files) == 1:
         return first
-    if not all(_belong_together(first, other) for other in files[1:]):
-        raise MismatchError(
-            source,
-            "files of one recording",
-            "other keypoints, units or rates",
-            "give them one by one",
-        )
-    notes = tuple(note for file in files for note in file.notes)
-    poses = _join_poses([file.poses for file in files])
-    return PoseFile(poses, first.rate, _join_names(files), notes, first.edges, joints=first.joints)
+    parts = [file.poses for file in files]
+    if any(
+        (own.keypoints, own.unit, str(file.rate))
+        != (first.poses.keypoints, first.poses.unit, str(first.rate))
+        for own, file in zip(parts, files, strict=True)
+    ):
+        found = "other keypoints, units or rates"
+        raise MismatchError(source, "files of one recording", found, "give them one by one")
+    frames = np.unique(np.concatenate([part.frames for part in parts]))
+    arrays: dict[str, Any] = {}
+    for name in ("positions", "error", "views", "confidence", "covariance", "raw", "source"):
+        each = [_spread(getattr(part, name), part.frames, frames) for part in parts]
+        arrays[name] = np.concatenate(each, axis=1)
+    return PoseFile(
+        replace(parts[0], frames=frames, **arrays),
+        first.rate,
+        _join_names(files),
+        tuple(note for file in files for note in file.notes),
+        first.edges,
+        joints=first.joints,
+    )
+
+
+def _spread(values: Reals, frames: Ints, all_frames: Ints) -> Reals:
+    """Return `[frame, ...]` on all frames, NaN or 0 on those that it lacks."""
+    missing = np.nan if values.dtype.kind == "f" else 0
+    found = np.full((len(all_frames), *values.shape[1:]), missing, values.dtype)
+    found[np.searchsorted(all_frames, frames)] = values
+    return found
+
+
+def _join_names(files: Sequence[PoseFile]) -> tuple[str, ...]:
+    """Return the names of all individuals; nothing where two are alike.
+
+    Mere numbers (`individual_0`) are counted on from file to file.
+    """
+    given = [name for file in files for name in file.individuals]
+    names = (f"individual_{k}" if UNNAMED.fullmatch(name) else name for k, name in enumerate(given))
+    unique = tuple(dict.fromkeys(names))
+    return unique if len(unique) == len(given) else ()
 
 
 def _sniff(document: Document) -> str:
@@ -132,51 +162,6 @@ def _read(document: Document, format: str | None) -> tuple[str, PoseFile]:
     """Return the name of the format, and the poses. Raises FormatError."""
     known = POSE_FORMATS.require(document, format, "export one of these, or name it")
     return known.name, check_poses(known.reader()(document), document.source)
-
-
-def _belong_together(first: PoseFile, other: PoseFile) -> bool:
-    """Return whether two files may be of one recording."""
-    return (
-        first.poses.keypoints == other.poses.keypoints
-        and first.poses.unit == other.poses.unit
-        and np.array_equal(first.rate, other.rate, equal_nan=True)
-    )
-
-
-def _join_poses(parts: Sequence[Poses3D]) -> Poses3D:
-    """Join the individuals of poses with the same keypoints."""
-    frames = np.unique(np.concatenate([part.frames for part in parts]))
-    individuals = sum(part.positions.shape[1] for part in parts)
-    shape = (len(frames), individuals, len(parts[0].keypoints))
-    arrays: dict[str, Any] = {
-        "positions": np.full((*shape, 3), np.nan),
-        "error": np.full(shape, np.nan),
-        "views": np.zeros(shape, dtype=np.int64),
-        "confidence": np.full(shape, np.nan),
-        "covariance": np.full((*shape, 6), np.nan, dtype=np.float32),
-        "raw": np.full((*shape, 3), np.nan),
-        "source": np.zeros(shape, dtype=np.int8),
-    }
-    start = 0
-    for part in parts:
-        end = start + part.positions.shape[1]
-        rows = np.searchsorted(frames, part.frames)
-        for name, array in arrays.items():
-            array[rows, start:end] = getattr(part, name)
-        start = end
-    return replace(parts[0], frames=frames, **arrays)
-
-
-def _join_names(files: Sequence[PoseFile]) -> tuple[str, ...]:
-    """Return the names of all individuals; nothing where two are alike.
-
-    Mere numbers (`individual_0`) are counted on from file to file.
-    """
-    names = [name for file in files for name in file.individuals]
-    for index, name in enumerate(names):
-        if UNNAMED.fullmatch(name):
-            names[index] = f"individual_{index}"
-    return () if find_repeated(names) else tuple(names)
 
 
 def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Written:
@@ -198,10 +183,9 @@ def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Wr
         return Written({path.name: write(file, title)}, known.lost(file))
     if not file.individuals:
         raise MismatchError(format, "at least one individual", "none", "nothing to write")
-    names = [own.name for own in individual_files(path, len(file.individuals))]
     files = {
-        name: write(_select_individual(file, individual), title or name)
-        for individual, name in enumerate(names)
+        own.name: write(_select_individual(file, individual), title or own.name)
+        for individual, own in enumerate(individual_files(path, len(file.individuals)))
     }
     return Written(files, known.lost(file))
 

@@ -15,8 +15,7 @@ from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_EXACT_FLOAT
 from mocap_calib.io.format import Format
 from mocap_calib.io.poses import COVARIANCES, INDIVIDUALS, MOST_VIEWS, UNIT, PoseFile, mark_missing
-from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
-from mocap_calib.io.table import read_rows, read_table
+from mocap_calib.io.table import format_csv_line, format_lines, read_rows, read_table, slice_frames
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.results import Poses3D
 from mocap_calib.types import Floats

@@ -29,6 +29,9 @@ class WriteOutcome:
     refused: Mapping[str, MismatchError]
 
 
+_FORMATS = {each.name: each for each in (*POSE_FORMATS, *CAMERA_FORMATS) if each.write is not None}
+
+
 def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY) -> None:
     """Hold the names of further formats to what a run can write, before it starts.
 
@@ -38,27 +41,17 @@ def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY
     none, one whose packages are not installed, and one that needs a unit of length where
     nobody says one.
     """
-    poses, cameras = POSE_FORMATS.written, CAMERA_FORMATS.written
     for name in names:
-        if name not in (*poses, *cameras):
-            raise MismatchError(
-                argument("write"),
-                f"one of {', '.join((*poses, *cameras))}",
-                f"{name!r}",
-                suggest(name, (*poses, *cameras)),
-            )
-        known: Format
-        known = (POSE_FORMATS if name in poses else CAMERA_FORMATS).find(name)
+        if name not in _FORMATS:
+            expected = f"one of {', '.join(_FORMATS)}"
+            raise MismatchError(argument("write"), expected, f"{name!r}", suggest(name, _FORMATS))
+        known = _FORMATS[name]
         known.writer()
         if unit == ARBITRARY:
             _check_unit(known)
         if known.timed and fps is None:
-            raise MismatchError(
-                argument("write", name),
-                "the number of frames per second",
-                "none",
-                f"say it with {argument('fps')}",
-            )
+            owner, remedy = argument("write", name), f"say it with {argument('fps')}"
+            raise MismatchError(owner, "the number of frames per second", "none", remedy)
 
 
 def check_recording(
@@ -73,9 +66,8 @@ def check_recording(
     Raises MismatchError where a format has no place for a lens, or for a name.
     """
     count = len(recording.cameras)
-    rig = CameraRig(
-        recording.cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), unit
-    )
+    rotations, origins = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+    rig = CameraRig(recording.cameras, rotations, origins, unit)
     positions = np.zeros((1, 1, len(recording.keypoints), 3))
     poses = bare_poses(recording.keypoints, np.zeros(1, int), positions, unit=unit)
     file = describe_poses(poses, fps, rig=rig)
@@ -104,7 +96,7 @@ def _check_unit(known: Format) -> None:
 
 def any_holds_points(names: Sequence[str]) -> bool:
     """Return whether any format of these names has a place for observed points."""
-    return any(each.points for each in CAMERA_FORMATS if each.name in names)
+    return any(_FORMATS[name].points for name in names)
 
 
 def write_formats(
@@ -125,39 +117,31 @@ def write_formats(
     """
     notes: list[str] = []
     refused: dict[str, MismatchError] = {}
-    for name in names:
+    for known in map(_FORMATS.__getitem__, names):
         try:
-            if name in CAMERA_FORMATS.written:
-                lost = _write_rig(output / name, rig, name, provenance, points)
+            if known in CAMERA_FORMATS:
+                lost = _write_rig(output / known.name, rig, known, provenance, points)
             elif file is not None:
-                lost = _write_poses(output, replace(file, rig=rig), name)
+                path = output / (known.result or f"poses3d{known.endings[0]}")
+                lost = write_poses(path, replace(file, rig=rig), known.name)
             else:
                 continue
+            notes += describe_lost(known.name, lost)
         except MismatchError as error:
-            refused[name] = error
-        else:
-            notes += describe_lost(name, lost)
+            refused[known.name] = error
     return WriteOutcome(tuple(notes), refused)
 
 
 def _write_rig(
     folder: Path,
     rig: CameraRig,
-    name: str,
+    known: Format,
     provenance: Mapping[str, Any],
     points: ObservedPoints | None,
 ) -> tuple[str, ...]:
     """Write the files of a camera format into a folder; return what they do not hold."""
-    known = CAMERA_FORMATS.find(name)
-    held = points if known.points else None  # that others do not hold points need not be said
     if known.folder:
-        return write_cameras(folder, rig, name, provenance, held)
-    file_name = next(iter(format_rig(rig, name, provenance).files))
-    return write_cameras(folder / file_name, rig, name, provenance)
-
-
-def _write_poses(folder: Path, file: PoseFile, name: str) -> tuple[str, ...]:
-    """Write a pose format's files into a folder; return what they do not hold."""
-    known = POSE_FORMATS.find(name)
-    path = folder / (known.result or f"poses3d{known.endings[0]}")
-    return write_poses(path, file, name)
+        held = points if known.points else None  # that others do not hold points need not be said
+        return write_cameras(folder, rig, known.name, provenance, held)
+    name = next(iter(format_rig(rig, known.name, provenance).files))
+    return write_cameras(folder / name, rig, known.name, provenance)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.io.atomic import write_files
-from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
+from mocap_calib.io.table import format_csv_line, slice_frames
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.kinematics import Kinematics
 from mocap_calib.types import Floats

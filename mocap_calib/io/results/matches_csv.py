@@ -9,8 +9,7 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.errors import FormatError, MismatchError, one_line
 from mocap_calib.io.document import Document, as_document
-from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
-from mocap_calib.io.table import read_rows
+from mocap_calib.io.table import format_csv_line, format_lines, read_rows, slice_frames
 from mocap_calib.recording.corrections import own_name
 from mocap_calib.recording.names import compose_name
 from mocap_calib.results import NO_FRAME, Clocks, Matches
