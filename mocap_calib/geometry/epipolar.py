@@ -104,6 +104,20 @@ def fundamental_matrix(points_a: Floats, points_b: Floats) -> Floats | None:
     return None if matrix is None else np.asarray(matrix[:3], dtype=np.float64)
 
 
+def homography_errors(points: Floats, images: Floats) -> Floats:
+    """Return the errors `[N]` of the homography with the least median of squared errors.
+
+    points, images: `[N, 2]` of matches; the errors are in the unit of the images.
+    """
+    import cv2  # noqa: PLC0415 - as above
+
+    matrix, _ = cv2.findHomography(points, images, cv2.LMEDS)
+    if matrix is None:
+        return np.full(len(points), np.inf)
+    mapped = cv2.perspectiveTransform(points[None], matrix)[0]
+    return np.asarray(np.linalg.norm(mapped - images, axis=1))
+
+
 def pose_from_essential(matrix: Floats, rays_a: Floats, rays_b: Floats) -> tuple[Floats, Floats]:
     """Return R `[3, 3]` and t `[3]` (of length 1) of an essential matrix `[3, 3]`.
 

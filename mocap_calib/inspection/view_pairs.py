@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.geometry.epipolar import fundamental_matrix
+from mocap_calib.geometry.epipolar import fundamental_matrix, homography_errors
 from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.inspection.contents import InspectConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Keypoints2D
 
 _TINY = 1e-9  # of an error, of a size in pixels
-_STEPS = 6  # of reweighting
 
 
 @dataclass(frozen=True)
@@ -112,36 +111,3 @@ def sampson_distance(matrix: Floats, points_a: Floats, points_b: Floats) -> Floa
     line_b, line_a = points_a @ matrix.T, points_b @ matrix
     slope = (line_b[:, :2] ** 2).sum(1) + (line_a[:, :2] ** 2).sum(1)
     return np.asarray((line_b * points_b).sum(1) / np.sqrt(np.maximum(slope, 1e-18)))
-
-
-def homography_errors(points: Floats, images: Floats) -> Floats:
-    """Return the errors `[N]` of the homography that maps most points to their images.
-
-    By direct linear transform (Hartley and Zisserman 2004, section 4.1), reweighted by Cauchy's
-    loss at two medians.
-
-    points, images: `[N, 2]`; the errors are in the unit of the images.
-    """
-    (points, _), (images, scale) = _normalise(points), _normalise(images)
-    points = np.column_stack([points, np.ones(len(points))])
-    weight, depth = np.ones(len(points)), np.ones(len(points))
-    for _ in range(_STEPS):
-        rows = np.zeros((2, len(points), 9))
-        rows[0, :, :3], rows[1, :, 3:6] = points, points
-        rows[..., 6:] = -images.T[..., None] * points
-        rows *= (np.sqrt(weight) / depth)[:, None]
-        flat = rows.reshape(-1, 9)
-        matrix = np.linalg.eigh(flat.T @ flat)[1][:, 0].reshape(3, 3)
-        mapped = points @ matrix.T
-        depth = np.maximum(np.abs(mapped[:, 2]), 1e-9)
-        mapped = mapped[:, :2] / np.where(mapped[:, 2:] < 0, -depth[:, None], depth[:, None])
-        error = np.linalg.norm(mapped - images, axis=1)
-        weight = 1 / (1 + (error / (2 * np.median(error) + 1e-12)) ** 2)
-    return np.asarray(error * scale)
-
-
-def _normalise(points: Floats) -> tuple[Floats, float]:
-    """Return points `[n, 2]` about their middle in units of their usual distance, and this unit."""
-    offset = points - np.median(points, axis=0)
-    scale = float(np.median(np.linalg.norm(offset, axis=1))) + 1e-12
-    return offset / scale, scale

@@ -26,6 +26,7 @@ from mocap_calib.geometry.epipolar import (
     essential_matrix,
     five_point,
     fundamental_matrix,
+    homography_errors,
     pose_from_essential,
     sampson_angle,
 )
@@ -56,7 +57,7 @@ from mocap_calib.geometry.rotation import (
     vector_from_matrix,
     with_size_of,
 )
-from mocap_calib.inspection.view_pairs import homography_errors, sampson_distance
+from mocap_calib.inspection.view_pairs import sampson_distance
 from mocap_calib.types import Camera, CameraRig
 
 SEEDS = st.integers(0, 2**32 - 1)
