@@ -39,8 +39,8 @@ class InspectConfig:
     most_error: of two views whose images of one subject go together. Measured: 0.04 in shared
         recordings, 0.2 and more where keypoints are noise.
     least_depth: median over pairs of views of the error of a homography over that of a fundamental
-        matrix. Measured: 9.4 and more in shared recordings, 5.0 and more in simulated ones, 2.1 to
-        2.9 where all that is seen lies in a plane.
+        matrix. Measured: 5.1 and more in shared recordings, 9.3 and more in simulated ones, less
+        than 3 where all that is seen lies in a plane.
     """
 
     cells: int = 10
