@@ -3,7 +3,6 @@
     .venv/bin/python benchmarks/recording_of_publisher.py OUT --cameras reference.toml
         --detections KEYPOINTS ...           # what a detector found of one subject
         --bodies FILE:ARRAY ... --joints ... # or 3D truth, an array for each subject: projected
-        --panoptic hdPose3d_stage1_coco19    # or that of CMU Panoptic: projected
 
 Cameras and detections are in any format that the program reads (docs/formats.md); of 3D truth,
 the cameras see points in their image with 3 px of noise, and order subjects at random.
@@ -11,7 +10,6 @@ benchmarks/README.md has the command of each recording, and says what OUT holds.
 """
 
 import argparse
-import json
 import shlex
 import sys
 from collections.abc import Sequence
@@ -28,13 +26,6 @@ from mocap_calib.io.camera_files import read_rig
 from mocap_calib.io.keypoints import read_keypoints
 from mocap_calib.synthetic.scene_files import write_scene
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
-
-# of CMU Panoptic's 19 joints, in their order
-PANOPTIC: tuple[str, ...] = (
-    *("neck", "nose", "mid_hip", "left_shoulder", "left_elbow", "left_wrist", "left_hip"),
-    *("left_knee", "left_ankle", "right_shoulder", "right_elbow", "right_wrist", "right_hip"),
-    *("right_knee", "right_ankle", "left_eye", "left_ear", "right_eye", "right_ear"),
-)
 
 
 class Made(NamedTuple):
@@ -72,7 +63,6 @@ def parse() -> argparse.Namespace:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--detections", nargs="+", help="files, folders, or name=path")
     source.add_argument("--bodies", nargs="+", metavar="FILE:ARRAY")
-    source.add_argument("--panoptic", type=Path, help="folder of body3DScene_*.json")
     parser.add_argument("--joints", default="", help="of --bodies: as poses_of_arrays.py has it")
     parser.add_argument("--key", default="", help="of --joints, likewise")
     parser.add_argument("--kind", default="people", help="people, quadruped, rodent or bird")
@@ -87,14 +77,10 @@ def make(rig: CameraRig, options: argparse.Namespace) -> Made:
     """Return the recording. Raises FormatError and MismatchError."""
     if options.detections:
         return of_detections(rig, read_keypoints(options.detections), options.kind)
-    if options.panoptic:
-        poses, joints = read_panoptic(options.panoptic), PANOPTIC
-    else:
-        joints = tuple(names_of(options.joints, options.key))
-        clips = [read_clip(source, len(joints)) for source in options.bodies]
-        shortest = min(len(clip) for clip in clips)
-        poses = np.stack([clip[:shortest] for clip in clips], 1)
-    poses = poses[:: options.every][: options.frames]
+    joints = tuple(names_of(options.joints, options.key))
+    clips = [read_clip(source, len(joints)) for source in options.bodies]
+    shortest = min(len(clip) for clip in clips)
+    poses = np.stack([clip[:shortest] for clip in clips], 1)[:: options.every][: options.frames]
     rng = np.random.default_rng(options.seed)
     return project(rig, poses, joints, options.kind, noise=options.noise, rng=rng)
 
@@ -118,26 +104,6 @@ def of_detections(rig: CameraRig, files: Sequence[Keypoints2D], kind: str) -> Ma
         ids[view, file.frames, : seen.shape[1]] = np.where(seen, 0, -1)
     joints = ordered[0].keypoints
     return Made(rig, ordered, ids, joints, (kind,), np.full((last, 1, len(joints), 3), np.nan))
-
-
-def read_panoptic(folder: Path) -> Floats:
-    """Return `[frame, individual, 19, 3]` of CMU Panoptic's files; NaN where one is not there.
-
-    Each has `bodies`, with an `id` and `joints19`: x, y, z and a confidence, -1 of what is unknown.
-
-    Raises MismatchError for a folder without such files.
-    """
-    frames = [json.loads(path.read_text()) for path in sorted(folder.glob("body3DScene_*.json"))]
-    numbers = sorted({body["id"] for frame in frames for body in frame["bodies"]})
-    if not numbers:
-        raise MismatchError(folder, "bodies in body3DScene_*.json", "none", "check the folder")
-    poses = np.full((len(frames), len(numbers), len(PANOPTIC), 3), np.nan)
-    for places, frame in zip(poses, frames, strict=True):
-        for body in frame["bodies"]:
-            joints = np.reshape(body["joints19"], (-1, 4))
-            known = joints[:, 3:] >= 0
-            places[numbers.index(body["id"])] = np.where(known, joints[:, :3], np.nan)
-    return poses
 
 
 def project(
