@@ -129,6 +129,8 @@ RUN = "run k --cameras i.toml -o o"
         (f"{RUN} --fps a:30", "expected that of the other cameras too, as --fps 30, found a:30"),
         (f"{RUN} --height =1.7", "expected metres above 0, or individual=metres, as 0=1.75+-0.01"),
         (f"{RUN} --camera-distance a-b=-1", "expected two cameras and metres above 0, as cam1"),
+        ("overlay o --video cam1 -o x", "expected CAM=FILE, found cam1"),
+        ("overlay o --video a=1 --video a=2 -o x", "expected one video a camera, found two of a"),
         ("overlay o --video a=1 -o x --frames 1,", "expected frame numbers, as 100,200-210"),
         ("example cat", "expected one of people, dog, mouse, found cat"),
         ("simulate -o o --kind fish", "people, quadruped, rodent, bird, found fish"),

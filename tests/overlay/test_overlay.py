@@ -11,11 +11,11 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.lens import pixels_from_points
 from mocap_calib.notebook.colours import COLOURS, UNASSIGNED, colour_of, rgb
 from mocap_calib.notebook.shapes import camera_lines, floor_lines
-from mocap_calib.overlay.drawing import View, resize
+from mocap_calib.overlay.drawing import View
 from mocap_calib.overlay.make import make_overlays
 from mocap_calib.overlay.results import CameraResults, Results, read_results
 from mocap_calib.overlay.video import Video, read_frames
-from mocap_calib.types import Camera, CameraClock, Floats, World
+from mocap_calib.types import CameraClock, Floats, World
 
 FRAMES = 12  # of the videos
 BARREL = (-0.25, 0.06, 0.002, -0.001, 0.0)
@@ -110,30 +110,22 @@ def blank_video(path: Path, size: tuple[int, int]) -> Path:
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--video", "cam9={video}"), "expected one of the cameras cam1, cam2, cam3, found cam9"),
-        (("--video", "cam1=none.mp4"), "none.mp4: expected a video, found no such file"),
-        (("--video", "cam1={done}/run.json"), "expected a video that OpenCV can read"),
-        (("--video", "cam1={wide}"), "expected images of 1280 x 720 as the keypoints of cam1 have"),
-        (("--video", "cam1={video}", "--frames", "500"), "--frames: expected frames that "),
-        (("--video", "cam1={video}", "--frames", "9-5"), "expected frame numbers, as 100,200-210"),
-        (("--video", "{video}"), "expected CAM=FILE, found "),
-        (("--video", "cam1={video}", "--video", "cam1=b"), "found two of cam1"),
+        ("--video cam9=a.mp4", "expected one of the cameras cam1, cam2, cam3, found cam9"),
+        ("--video cam1=none.mp4", "none.mp4: expected a video, found no such file"),
+        ("--video cam1=run.json", "expected a video that OpenCV can read"),
+        ("--video cam1=wide.mp4", "expected images of 1280 x 720 as the keypoints of cam1 have"),
+        ("--video cam1=a.mp4 --frames 500", "--frames: expected frames that "),
     ],
 )
 def test_mistakes_get_a_line_and_leave_nothing(done, tool, tmp_path, words, says):
-    video = blank_video(tmp_path / "a.mp4", (1280, 720))
-    wide = blank_video(tmp_path / "wide.mp4", (640, 200))
-    texts = [word.format(video=video, wide=wide, done=done[0]) for word in words]
-    made = tool("overlay", done[0], *texts, "-o", tmp_path / "out")
-    assert made.returncode in (1, 2)
-    assert says in made.stderr.splitlines()[-1]
-    assert made.returncode == 2 or made.stderr.count("\n") == 1
+    """Those of the command line are in tests/cli/test_usage.py."""
+    blank_video(tmp_path / "a.mp4", (1280, 720))
+    blank_video(tmp_path / "wide.mp4", (640, 200))
+    (tmp_path / "run.json").write_text("{}")
+    made = tool("overlay", done[0], *words.split(), "-o", "out", cwd=tmp_path)
+    assert (made.returncode, made.stderr.count("\n")) == (1, 1)
+    assert says in made.stderr
     assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_of_something_else_is_refused(tmp_path):
-    with pytest.raises(MismatchError, match=r"expected the results of a run, found no cameras"):
-        read_results(tmp_path)
 
 
 class Capture:
@@ -141,9 +133,7 @@ class Capture:
 
     def __init__(self, times: list[float]) -> None:
         self.times, self.index = times, -1
-
-    def isOpened(self) -> bool:
-        return True
+        self.isOpened, self.release = (lambda: True), (lambda: None)
 
     def grab(self) -> bool:
         self.index += 1
@@ -154,9 +144,6 @@ class Capture:
 
     def retrieve(self) -> tuple[bool, np.ndarray]:
         return True, np.zeros((2, 2, 3), np.uint8)
-
-    def release(self) -> None:
-        pass
 
 
 def test_a_variable_frame_rate_is_refused_with_the_way_to_mend_it(monkeypatch):
@@ -204,13 +191,6 @@ def test_lines_end_at_the_near_plane_and_do_not_come_back_through_a_bent_lens(fo
     assert flipped[0, 0] == pytest.approx(rig["cam1"].size[0] - 1 - expected[0])
 
 
-def test_resized_images_have_the_same_rays():
-    camera = Camera("a", (1280, 720), np.array([[900.0, 0, 630], [0, 905, 355], [0, 0, 1]]))
-    points = np.random.default_rng(0).normal(size=(20, 3)) + (0, 0, 5)
-    small = pixels_from_points(resize(camera, (640, 360)), points)
-    np.testing.assert_allclose(small + 0.5, (pixels_from_points(camera, points) + 0.5) / 2)
-
-
 def test_a_grid_lies_on_the_floor_a_metre_apart(found):
     ((_, _, rig),) = found.epochs
     poses = found.poses.poses
@@ -218,10 +198,10 @@ def test_a_grid_lies_on_the_floor_a_metre_apart(found):
     unknown = replace(rig, world=World(kind="first camera"))
     assert floor_lines(unknown, poses).shape == (0, 2, 3)
     up, floor = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 0.5])
-    size = float(np.nanpercentile(poses.positions, 99) - np.nanpercentile(poses.positions, 1))
-    metric = replace(rig, world=World(kind="floor", up=up, floor=floor)).scale(8 / size, "m")
-    lines = floor_lines(metric, poses.scale(8 / size, "m"))
-    np.testing.assert_allclose(lines[..., 2], 0.5 * 8 / size)
+    longer = 8 / float(np.ptp(np.nanpercentile(poses.positions, [1, 99])))
+    metric = replace(rig, world=World(kind="floor", up=up, floor=floor)).scale(longer, "m")
+    lines = floor_lines(metric, poses.scale(longer, "m"))
+    np.testing.assert_allclose(lines[..., 2], 0.5 * longer)
     along = np.unique(np.round(lines[np.ptp(lines[..., 0], 1) == 0][:, 0, 0], 6))
     np.testing.assert_allclose(np.diff(along), 1.0)
 
