@@ -93,15 +93,13 @@ def test_a_camera_on_its_side_is_seen_beside_upright_ones():
     ],
 )
 def test_cameras_that_want_the_focal_lengths_of_each_other_may_be_exchanged(focal, change, pairs):
-    group = calibrated(cameras=len(focal), people=1, frames=30)
-    cameras = tuple(
+    group, sigma = calibrated(cameras=len(focal), people=1, frames=30), np.full(len(focal), 0.007)
+    cameras = [
         replace(each, matrix=np.diag([f, f, 1.0]))
         for each, f in zip(group.rig.cameras, focal, strict=True)
-    )
-    known = replace(
-        group.uncertainty, focal_change=np.array(change), focal_sigma=np.full(len(focal), 0.007)
-    )
-    adjusted = replace(group.adjusted, rig=replace(group.rig, cameras=cameras))
+    ]
+    known = replace(group.uncertainty, focal_change=np.array(change), focal_sigma=sigma)
+    adjusted = replace(group.adjusted, rig=replace(group.rig, cameras=tuple(cameras)))
     found = find_exchanged_cameras(replace(group, adjusted=adjusted, uncertainty=known))
     assert len(found) == pairs
     for each in found:

@@ -164,30 +164,24 @@ def check_poses_of_both_epochs(out: Path, apart: float) -> None:
         thigh = np.linalg.norm(np.diff(found.positions[:, :, columns], axis=2), axis=-1)
         for part in (thigh[:MOVED_AT], thigh[MOVED_AT:]):
             assert part.mean() / per_metre == pytest.approx(length, rel=0.02)
-    hierarchy, motion = (out / "poses3d.bvh").read_text().split("MOTION")
-    assert f"Frames: {FRAMES}" in motion
-    offset = hierarchy.split("JOINT left_knee\n")[1].split("OFFSET")[1].split()[:3]
-    assert np.linalg.norm(np.array(offset, float)) == pytest.approx(length, rel=0.02)
 
 
 def test_the_command_writes_a_rig_for_each_epoch(tmp_path, tool):
     """And a page with both, also when it is made again; a run of sound files leaves neither."""
     given, rig = plain(cameras=4)
-    moved = bumped(given, 8.0)
     files = scene(frames=FRAMES, people=1, false_detections=0.0).files
-    keypoints, out = tmp_path / "keypoints", tmp_path / "out"
     columns = [given.keypoints.index(name) for name in files[0].keypoints]
-    changed = []
-    for positions, file in zip(moved.positions, files, strict=True):
-        seen = positions[file.frames][:, : file.positions.shape[1]]
-        changed.append(replace(file, positions=seen[:, :, columns]))
-    mc.write(changed, keypoints, format="coco")
+    moved = [
+        replace(file, positions=seen[file.frames][:, : file.positions.shape[1], columns])
+        for seen, file in zip(bumped(given, 8.0).positions, files, strict=True)
+    ]
+    mc.write(moved, tmp_path / "keypoints", format="coco")
     mc.write(rig, tmp_path / "rig.yaml")
-    command = ["run", keypoints, "--cameras", tmp_path / "rig.yaml", "-o", out]
+    command, out = ["run", "keypoints", "--cameras", "rig.yaml", "-o", "out"], tmp_path / "out"
     apart = np.linalg.norm(rig.centres[0] - rig.centres[2])
     known = ("--camera-distance", f"cam1-cam3={apart}", "--fps", 50)
-    formats = [word for name in ("opencv", "trc", "c3d", "bvh") for word in ("--write", name)]
-    said = tool(*command, *known, *formats)
+    formats = [word for name in ("opencv", "trc", "c3d") for word in ("--write", name)]
+    said = tool(*command, *known, *formats, cwd=tmp_path)
     assert said.returncode == 0, said.stderr
     assert "cam2: moved at frame 70" in said.stderr
     report = json.loads((out / "run.json").read_text())
@@ -213,7 +207,7 @@ def test_the_command_writes_a_rig_for_each_epoch(tmp_path, tool):
     after = page_data((out / "report.html").read_text("utf-8"))
     assert [(each["name"], each["last"]) for each in after["rig"]["cameras"]] == views
     assert (after["detections"], after["timeline"]) == (before["detections"], before["timeline"])
-    mc.write(files, keypoints, format="coco")
-    said = tool(*command, "--sync", "off", "--smooth", "off")
+    mc.write(files, tmp_path / "keypoints", format="coco")
+    said = tool(*command, "--sync", "off", "--smooth", "off", cwd=tmp_path)
     assert said.returncode == 0, said.stderr
     assert not (out / "epoch_2").exists()

@@ -147,9 +147,7 @@ def test_scores_are_of_the_mutual_matches_in_front_of_both_views():
 def test_the_affinity_by_a_rig_is_that_of_its_pairs_and_of_each_frame(frames):
     """Kernels look at several frames side by side; a frame without detections has none."""
     rig, sample = scene().rig, recording().select(frames=np.arange(frames))
-    confidence = sample.confidence.copy()
-    confidence[:, frames // 2] = 0.0
-    sample = replace(sample, confidence=confidence)
+    sample.confidence[:, frames // 2] = 0.0
     bodies = LiftedPoses(*(each[:, :frames] for each in vars(lifted()).values()))
     distance = distances(bodies.centre, sample.rays)
     affinity, comparable = together = epipolar_affinity(sample, rig, distance, CONFIG)
@@ -163,9 +161,9 @@ def test_the_affinity_by_a_rig_is_that_of_its_pairs_and_of_each_frame(frames):
     pair = gather(sample, bodies, (0, 2))
     fit = epipolar_fit(pair, *(part[None] for part in rig.relative(0, 2)), CONFIG)[0]
     instances = sample.positions.shape[2]
-    rows, columns = slice(0, instances), slice(2 * instances, 3 * instances)
-    close(affinity[pair.frames, rows, columns], fit, atol=1e-9)
-    assert ((comparable[pair.frames, rows, columns] > 0) | (fit == 0)).all()
+    block = np.s_[pair.frames, :instances, 2 * instances : 3 * instances]
+    close(affinity[block], fit, atol=1e-9)
+    assert ((comparable[block] > 0) | (fit == 0)).all()
     assert frames == 1 or fit.any()
 
 
@@ -281,44 +279,42 @@ def test_flat_bodies_lifted_the_wrong_way_round_give_the_right_pose_and_identiti
 # refinement
 
 
+ROTATION, BASELINE = matrix_from_vector(np.array([0.2, 1.0, -0.1])), np.array([-3.0, 0.2, 2.0])
+
+
+def refined(turn, start, config=CONFIG, **known) -> tuple[np.ndarray, np.ndarray]:
+    """Refine a pose off by a turn in degrees; by default of no rays and no bodies."""
+    usual = {
+        "rays": np.zeros((1, 1, 8, LANES)),
+        "cross": np.zeros((1, 3, 3)),
+        "inertia": np.zeros(1),
+    }
+    rotation = matrix_from_vector(np.radians([turn])) @ ROTATION
+    return refine_poses(rotation, np.array([start]), config, **usual | known)
+
+
 def test_refinement_finds_the_pose_among_gross_outliers():
     """From 6 degrees off, with 20 % outliers and 1 mrad of noise: measured 0.02 degrees."""
     rng = np.random.default_rng(0)
-    rotation = matrix_from_vector(np.array([0.2, 1.0, -0.1]))
-    translation = np.array([-3.0, 0.2, 2.0])
     points = rng.uniform(-1.5, 1.5, (2000, 3)) + [0, 0, 5.0]
-    a, b = (
-        unit(unit(x) + rng.normal(0, 1e-3, x.shape))
-        for x in (points, points @ rotation.T + translation)
-    )
+    both = (points, points @ ROTATION.T + BASELINE)
+    a, b = (unit(unit(x) + rng.normal(0, 1e-3, x.shape)) for x in both)
     b[:400] = rng.permutation(b[:400])
     rays = np.column_stack([a, b, np.ones(2000), np.full(2000, 5.0)])
-    found, direction = refine_poses(
-        matrix_from_vector(np.radians([[3.0, -4.0, 3.0]])) @ rotation,
-        translation[None] + 0.3,
-        PairwiseConfig(inlier=0.05),
-        rays=in_blocks(rays, 2000)[None],
-        cross=np.zeros((1, 3, 3)),
-        inertia=np.zeros(1),
-    )
-    assert np.degrees(angle_between(found[0], rotation)) < 0.1
-    assert np.degrees(direction_angle(direction[0], translation)) < 0.2
-    assert np.linalg.norm(direction) == pytest.approx(np.linalg.norm(translation + 0.3))
+    given = {"rays": in_blocks(rays, 2000)[None], "config": PairwiseConfig(inlier=0.05)}
+    found, direction = refined([3.0, -4.0, 3.0], BASELINE + 0.3, **given)
+    assert np.degrees(angle_between(found[0], ROTATION)) < 0.1
+    assert np.degrees(direction_angle(direction[0], BASELINE)) < 0.2
+    assert np.linalg.norm(direction) == pytest.approx(np.linalg.norm(BASELINE + 0.3))
 
 
 def test_lifted_bodies_determine_a_rotation_that_rays_leave_open():
     """Nine bodies, no ray, 30 degrees off: to 0.01 degrees after eight steps."""
-    rotation = matrix_from_vector(np.array([0.2, 1.0, -0.1]))
     bodies = np.random.default_rng(1).normal(size=(9, 17, 3))
-    found, direction = refine_poses(
-        matrix_from_vector(np.radians([[0.0, 30.0, 0.0]])) @ rotation,
-        np.array([[1.0, 0.0, 0.0]]),
-        CONFIG,
-        rays=np.zeros((1, 1, 8, LANES)),
-        cross=np.einsum("nkx,nky->xy", bodies, bodies @ rotation.T)[None],
-        inertia=np.array([(bodies**2).sum()]),
-    )
-    assert np.degrees(angle_between(found[0], rotation)) < 0.05
+    cross = np.einsum("nkx,nky->xy", bodies, bodies @ ROTATION.T)[None]
+    inertia = np.array([(bodies**2).sum()])
+    found, direction = refined([0, 30.0, 0], [1.0, 0, 0], cross=cross, inertia=inertia)
+    assert np.degrees(angle_between(found[0], ROTATION)) < 0.05
     close(direction, [[1.0, 0.0, 0.0]])
 
 
@@ -386,8 +382,7 @@ def test_refinement_is_guarded():
 def test_exact_bodies_give_the_baseline_in_their_unit():
     """Two bodies of one size: lifted distances over those by the true pose; none from behind."""
     sample, bodies = exact_scene()
-    pair = gather(sample, bodies)
-    who = scene().identity[:, :2]
+    pair, who = gather(sample, bodies), scene().identity[:, :2]
     same = (who[0][:, :, None] == who[1][:, None]) & (who[0] >= 0)[:, :, None]
     rotation, translation = scene().rig.relative(*VIEWS)
     ratios = distance_ratios(pair.a, pair.b, rotation, translation, same)
@@ -399,12 +394,10 @@ def test_exact_bodies_give_the_baseline_in_their_unit():
     rays = pair.a.rays[frame, i].reshape(-1, 3), pair.b.rays[frame, j].reshape(-1, 3)
     other = matrix_from_vector(np.array([0.1, 1.0, 0.0])), np.array([1.0, 0.0, 2.0])
     ahead = np.stack(depths(*other, *rays)) > 0
-    assert len(distance_ratios(pair.a, pair.b, *other, same)) == ahead.all(0).sum()
-    assert ahead.all(0).sum() < ahead.any(0).sum()
-    found = calibrate_pair(pair, CONFIG)
-    assert np.linalg.norm(found.translation) == pytest.approx(
-        np.median(ratios) * np.linalg.norm(translation), rel=1e-3
-    )
+    found = len(distance_ratios(pair.a, pair.b, *other, same))
+    assert found == ahead.all(0).sum() < ahead.any(0).sum()
+    length = np.linalg.norm(calibrate_pair(pair, CONFIG).translation)
+    assert length == pytest.approx(np.median(ratios) * np.linalg.norm(translation), rel=1e-3)
 
 
 def five_points_of(sample: Sample, bodies: LiftedPoses, *, tracked: bool = False) -> int:
@@ -433,12 +426,10 @@ def test_five_points_are_tried_where_half_of_the_frames_show_a_single_subject(sh
 
 
 def test_views_that_share_no_frame_make_no_pair():
-    found = recording()
-    apart = np.zeros(found.confidence.shape, dtype=bool)
-    apart[0, ::2] = apart[1, 1::2] = True
-    hidden = {
-        "positions": np.where(apart[..., None], np.nan, found.positions),
-        "rays": np.where(apart[..., None], np.nan, found.rays),
-        "confidence": np.where(apart, 0.0, found.confidence),
-    }
-    assert calibrate_pair(gather(replace(found, **hidden), lifted()), CONFIG) is None
+    seen = recording().confidence > 0
+    seen[0, ::2] = seen[1, 1::2] = False
+    arrays = (
+        np.where(seen[..., None], x, np.nan) for x in (recording().positions, recording().rays)
+    )
+    hidden = dict(zip(("positions", "rays"), arrays, strict=True)) | {"confidence": 1.0 * seen}
+    assert calibrate_pair(gather(replace(recording(), **hidden), lifted()), CONFIG) is None
