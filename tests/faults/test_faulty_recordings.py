@@ -203,7 +203,7 @@ def test_the_command_writes_a_rig_for_each_epoch(tmp_path, tool):
     before = page_data((out / "report.html").read_text("utf-8"))
     views = [(each["name"], each["last"]) for each in before["rig"]["cameras"]]
     assert views[1:3] == [("cam2", 69), ("cam2@70", 119)]
-    assert tool("report", out).returncode == 0
+    assert tool("report", out, cwd=tmp_path).returncode == 0
     after = page_data((out / "report.html").read_text("utf-8"))
     assert [(each["name"], each["last"]) for each in after["rig"]["cameras"]] == views
     assert (after["detections"], after["timeline"]) == (before["detections"], before["timeline"])

@@ -22,14 +22,12 @@ from mocap_calib.geometry.rotation import (
 from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
 from mocap_calib.lift.lifter import ModelConfig, load_lifter
 from mocap_calib.pairs.view_pair import gather_view_pair
-from mocap_calib.paper import ReferencePairs
+from mocap_calib.paper import ReferencePairs, solver
 from mocap_calib.paper.five_point import (
     FivePointConfig,
-    estimate_by_loransac,
     find_by_five_point,
     five_point_over_matches,
     match_by_pose,
-    solver,
 )
 from mocap_calib.paper.solver import (
     PaperConfig,
@@ -388,22 +386,6 @@ def test_the_baseline_is_judged_as_any_other_pair():
     assert np.degrees(angle_between(found.rotation, rotation)) < 2.0
     assert np.degrees(direction_angle(found.translation, translation)) < 2.0
     assert found.score > 0.7
-
-
-def test_loransac_finds_the_pose_among_wrong_matches_and_repeats():
-    """0.2 mrad of noise and three of ten matches wrong: 0.27 and 0.14 degrees measured."""
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (100, 3)) + [0, 0, 5]
-    rotation, translation = matrix_numpy(np.array([0.1, 0.6, -0.05])), np.array([-3.0, 0.2, 1.0])
-    rays = [points, points @ rotation.T + translation]
-    rays = [each / each[:, 2:] + rng.normal(0, 2e-4, each.shape) * [1, 1, 0] for each in rays]
-    rays[1][:30] = rays[1][rng.permutation(30)]
-    found, again = (estimate_by_loransac(*map(unit, rays), 1e-3, trials=300) for _ in range(2))
-    assert np.degrees(angle_between(found[0], rotation)) < 0.5
-    assert np.degrees(direction_angle(found[1], translation)) < 0.3
-    assert np.linalg.norm(found[1]) == pytest.approx(1.0)
-    for one, other in zip(found, again, strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize(
