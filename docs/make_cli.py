@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mocap_calib_cli.main import COMMANDS, group
+from mocap_calib_cli.main import group
 
 PAGE = Path(__file__).with_name("cli.md")
 _ABOUT = """\
@@ -37,7 +37,7 @@ error where data are refused, not for a verdict.
 
 def make_page() -> str:
     """Return the whole page as Markdown."""
-    commands = {name: group.get_command(click.Context(group), name) for name in COMMANDS}
+    commands = {name: group.get_command(click.Context(group), name) for name in group.commands}
     options = {name: describe_options(command) for name, command in commands.items()}
     uses = Counter(text for texts in options.values() for text in texts.values())
     shared = {text for text, number in uses.items() if number > 1}

@@ -27,7 +27,7 @@ from mocap_calib.config import (
     ViewGraphConfig,
     WorldConfig,
 )
-from mocap_calib.errors import MismatchError, argument, spell_as_option
+from mocap_calib.errors import MismatchError, argument
 from mocap_calib.io.camera_files import load_cameras, make_rig
 from mocap_calib.io.camera_files import read_rig as read_rig_of
 from mocap_calib.io.cameras import CameraFile
@@ -45,7 +45,7 @@ from mocap_calib_cli.names import WORLD
 from mocap_calib_cli.option_files import is_list
 from mocap_calib_cli.options import KEYPOINTS, SCALE, SHARED, STDIO
 from mocap_calib_cli.screen import Reporter
-from mocap_calib_cli.typed import Texts, Typed
+from mocap_calib_cli.typed import Texts, Typed, refused_as_usage
 
 # --- keypoints and recordings
 
@@ -121,10 +121,8 @@ def calibration_request(typed: Typed, output: Path) -> CalibrationRequest:
     """
     world = world_config(typed)
     fps = typed.fps.get("")
-    try:
+    with refused_as_usage():
         check_formats(typed.write, fps, world.stated_unit)
-    except MismatchError as error:
-        raise click.UsageError(error.render(spell_as_option)) from None
     return CalibrationRequest(
         keypoints=keypoint_source(typed),
         cameras=open_input(typed.cameras, "--cameras") if typed.cameras else None,

@@ -1,74 +1,87 @@
 """The command `mocap-calib`: the list of its commands, and the one place where errors end.
 
 Results go to stdout, messages to stderr. Exit status: 0 done, 1 the data or the calibration is
-bad, 2 usage, 130 interrupted; docs/cli.md has a table.
+bad, 2 usage, 130 interrupted; docs/cli.md has a table. The list of commands has
+these texts:
+
+run: Keypoints to cameras and 3D poses: all stages in one.
+batch: Many recordings; what is finished is kept.
+inspect: What is in keypoint files, and what would make a run fail.
+pairwise: Relative poses of all pairs of cameras.
+average: Where all cameras stand, from the pairs (the rig).
+match: Who is who in all cameras.
+adjust: Make the rig as exact as the keypoints allow (bundle adjustment).
+triangulate: 3D poses from the rig and the matches.
+scale: Set the scale of results by known lengths.
+smooth: Best estimates of 3D poses, from the rig and the matches.
+filter: Butterworth, median or Savitzky-Golay filter of 3D poses.
+convert: Keypoints, cameras and poses from one format to another.
+kinematics: Joint angles, speeds, contacts and bone lengths of 3D poses.
+complete: Fill keypoints that were not seen.
+overlay: Draw what a run found on its videos.
+report: The results of a run to look at, in one HTML file.
+verify: Judge an existing calibration by keypoints: which camera moved since?
+evaluate: Compare cameras with a reference calibration.
+example: Lay out a recording to begin with: people, a dog, a mouse.
+simulate: Make a synthetic recording with its truth.
+doctor: Look at the machine and the installation, with a self-test.
+models: List the networks that are shipped.
+train: Train the network that lifts 2D poses.
 """
 
 import errno
-import importlib
 import io
 import os
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from mocap_calib import __version__
 from mocap_calib.compute import BLAS_THREADS
 from mocap_calib.errors import MocapCalibError, quote_for_shell, spell_as_option, suggest
+from mocap_calib_cli.commands import (
+    batch,
+    complete,
+    convert,
+    doctor,
+    evaluate,
+    example,
+    filter,
+    inspect,
+    kinematics,
+    models,
+    overlay,
+    report,
+    run,
+    scale,
+    simulate,
+    stages,
+    train,
+    verify,
+)
+from mocap_calib_cli.docstrings import split_help
 
-if TYPE_CHECKING:
-    from click.shell_completion import CompletionItem
-
-# what the list of commands says of each; kept here, so that the list imports none of them
-COMMANDS = {
-    "run": "Keypoints to cameras and 3D poses: all stages in one.",
-    "batch": "Many recordings; what is finished is kept.",
-    "inspect": "What is in keypoint files, and what would make a run fail.",
-    "pairwise": "Relative poses of all pairs of cameras.",
-    "average": "Where all cameras stand, from the pairs (the rig).",
-    "match": "Who is who in all cameras.",
-    "adjust": "Make the rig as exact as the keypoints allow (bundle adjustment).",
-    "triangulate": "3D poses from the rig and the matches.",
-    "scale": "Set the scale of results by known lengths.",
-    "smooth": "Best estimates of 3D poses, from the rig and the matches.",
-    "filter": "Butterworth, median or Savitzky-Golay filter of 3D poses.",
-    "convert": "Keypoints, cameras and poses from one format to another.",
-    "kinematics": "Joint angles, speeds, contacts and bone lengths of 3D poses.",
-    "complete": "Fill keypoints that were not seen.",
-    "overlay": "Draw what a run found on its videos.",
-    "report": "The results of a run to look at, in one HTML file.",
-    "verify": "Judge an existing calibration by keypoints: which camera moved since?",
-    "evaluate": "Compare cameras with a reference calibration.",
-    "example": "Lay out a recording to begin with: people, a dog, a mouse.",
-    "simulate": "Make a synthetic recording with its truth.",
-    "doctor": "Look at the machine and the installation, with a self-test.",
-    "models": "List the networks that are shipped.",
-    "train": "Train the network that lifts 2D poses.",
-}
-
-_STAGES = ("pairwise", "average", "match", "adjust", "triangulate", "smooth")
-_REMEDIES = {
-    errno.ENOENT: "expected a file or folder, found none; check the path",
-    errno.EACCES: "expected a path this program may use, found permission denied; "
-    "change its permissions or choose another",
-    errno.EPERM: "expected a path this program may use, found operation not permitted; "
-    "choose another",
-    errno.EROFS: "expected a place to write to, found a read-only file system; choose another",
-    errno.EISDIR: "expected a file, found a folder; give the file itself",
-    errno.ENOTDIR: "expected a folder, found a file on the way; choose another path",
-    errno.EEXIST: "expected a folder, found a file of that name; choose another path",
-    errno.ENOSPC: "expected room to write, found a full disk; free some",
-    errno.EDQUOT: "expected room to write, found the quota used up; free some",
-}
+_COMMANDS = (
+    *(run.command, batch.command, inspect.command, stages.pairwise, stages.average, stages.match),
+    *(stages.adjust, stages.triangulate, scale.command, stages.smooth, filter.command),
+    *(convert.command, kinematics.command, complete.command, overlay.command, report.command),
+    *(verify.command, evaluate.command, example.command, simulate.command, doctor.command),
+    *(models.command, train.command),
+)
+# errors of the system that a user can correct
+_OF_FILES = (
+    *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EISDIR, errno.ENOTDIR),
+    *(errno.EEXIST, errno.ENOSPC, errno.EDQUOT),
+)
 
 
-class LazyGroup(click.Group):
-    """Import a command when it is called (click's documentation: "Lazily loading subcommands")."""
+class Group(click.Group):
+    """The commands, in the order of their list."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names in the order of the list."""
-        return list(COMMANDS)
+        return list(self.commands)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; what a user can correct ends in a line, and status 1."""
@@ -80,55 +93,24 @@ class LazyGroup(click.Group):
                 raise
             ctx.exit(_complain(line, 1))
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import the module of a command, and return the command."""
-        if cmd_name not in COMMANDS:
-            return None
-        is_stage = cmd_name in _STAGES
-        module = importlib.import_module(
-            f"mocap_calib_cli.commands.{'stages' if is_stage else cmd_name}"
-        )
-        command: click.Command = getattr(module, cmd_name if is_stage else "command")
-        return command
-
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the command that is called. Raises click's UsageError for another word."""
-        word = args[0]
-        if word not in COMMANDS and not word.startswith("-") and not ctx.resilient_parsing:
+        word, known = args[0], self.commands
+        if word not in known and not word.startswith("-") and not ctx.resilient_parsing:
             raise click.UsageError(
-                f"expected one of the commands {', '.join(COMMANDS)}, found {word}; "
-                f"{suggest(word, COMMANDS)}",
+                f"expected one of the commands {', '.join(known)}, found {word}; "
+                f"{suggest(word, known)}",
                 ctx,
             )
         return super().resolve_command(ctx, args)
 
-    def shell_complete(self, ctx: click.Context, incomplete: str) -> "list[CompletionItem]":
-        """Offer the commands without importing them, and the options."""
-        from click.shell_completion import CompletionItem
 
-        commands = [
-            CompletionItem(name, help=text)
-            for name, text in COMMANDS.items()
-            if name.startswith(incomplete)
-        ]
-        return [*commands, *click.Command.shell_complete(self, ctx, incomplete)]
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+_SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True, "max_content_width": 100}
 
 
-@click.group(
-    cls=LazyGroup,
-    context_settings={
-        "help_option_names": ["-h", "--help"],
-        "show_default": True,
-        "max_content_width": 100,
-    },
-)
+@click.group(cls=Group, context_settings=_SETTINGS)
 @click.version_option(__version__, prog_name="mocap-calib", message="%(prog)s %(version)s")
 def group() -> None:
     """Calibrate cameras from the 2D keypoints of moving people and animals, and triangulate them.
@@ -143,6 +125,11 @@ def group() -> None:
     are the stages of `run`, one at a time. docs/completion.md says how the shell completes
     commands, options and names of formats.
     """
+
+
+for _command in _COMMANDS:
+    _command.short_help = split_help(__doc__)[1].get(str(_command.name))
+    group.add_command(_command)
 
 
 def main() -> None:
@@ -201,6 +188,10 @@ def explain(error: Exception, command: click.Command | None = None) -> str | Non
 
     if isinstance(error, MocapCalibError):
         return error.render(spell)
-    if isinstance(error, OSError) and error.errno in _REMEDIES:
-        return f"{error.filename or 'a file'}: {_REMEDIES[error.errno]}"
+    if isinstance(error, OSError) and error.errno in _OF_FILES:
+        found = str(error.strerror).lower()
+        return (
+            f"{error.filename or 'a file'}: expected a path this program can use, found {found}; "
+            "check the path, its permissions and the disk, or choose another"
+        )
     return None

@@ -69,7 +69,6 @@ quiet: Write nothing to stderr but errors, and warnings of doubtful rigs.
 output: Folder to write; made when missing.
 """
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -88,6 +87,7 @@ from mocap_calib.config import (
     WorldConfig,
 )
 from mocap_calib_cli import names, numbers, values
+from mocap_calib_cli.docstrings import split_help
 
 STDIO = "-"
 
@@ -132,18 +132,7 @@ class _Flag(click.types.BoolParamType):
             self.fail(f"expected true or false, found {value}", param, ctx)
 
 
-def split_help(text: str) -> tuple[str, dict[str, str]]:
-    """Return a docstring without its last paragraph, and the help of options by their names.
-
-    text: without the indentation of the code. Where options have a help, the last paragraph is
-        lines `name: help`, and the indented ones that go on.
-    """
-    about, _, last = text.rpartition("\n\n")
-    found = re.findall(r"^([a-z]\w*): (.*(?:\n .*)*)", last, re.M)
-    return about if found else text, {name: " ".join(help.split()) for name, help in found}
-
-
-HELP = split_help(__doc__ or "")[1]
+HELP = split_help(__doc__)[1]
 
 
 def option(
@@ -189,9 +178,9 @@ def _check_rates(
 # --- parameters of one name whose help, or whether they are required, is each command's own
 
 CAMERAS_IF_ANY = option("--cameras", values.INTRINSICS, metavar="INTRINSICS")
-OUTPUT_TEXT = option("-o --output", values.INPUT, default=STDIO, metavar="FILE")
-OUTPUT_FILE = option("-o --output", values.FILE, required=True, metavar="FILE")
-OUTPUT_FOLDER = option("-o --output", values.FILE, required=True, metavar="OUT")
+OUTPUT_TEXT = option("-o --output", values.OUTPUT, default=STDIO, metavar="FILE")
+OUTPUT_FILE = option("-o --output", values.OUTPUT, required=True, metavar="FILE")
+OUTPUT_FOLDER = option("-o --output", values.OUTPUT_FOLDER, required=True, metavar="OUT")
 AS_JSON = option("--json as_json")
 RATE_OF_POSES = option("--fps", numbers.POSITIVE)
 

@@ -19,32 +19,28 @@ if TYPE_CHECKING:
     from mocap_calib.types import Recording
 
 
-def write_text(output: str, pieces: Iterable[bytes]) -> None:
+def write_text(output: Path, pieces: Iterable[bytes]) -> None:
     """Write text that comes in pieces of UTF-8 to stdout or to a file."""
-    if output == STDIO:
-        for piece in pieces:
-            click.echo(piece, nl=False)
-    else:
-        write_pieces(Path(output), pieces)
-
-
-def check_file(output: Path | str | None) -> None:
-    """Raise MismatchError or OSError where a file could not be written; stdout can, and none."""
-    if output in (None, STDIO):
+    if str(output) != STDIO:
+        write_pieces(output, pieces)
         return
-    path = Path(str(output))
+    for piece in pieces:
+        click.echo(piece, nl=False)
+
+
+def check_file(path: Path) -> None:
+    """Raise MismatchError or OSError where a file could not be written."""
     if path.is_dir():
         raise MismatchError(path, "a file to write", "a folder", "give a name within it")
     check_place(path)
 
 
 def check_poses(path: Path) -> None:
-    """Raise MismatchError or OSError where `write_poses` could not write a file."""
+    """Raise MismatchError where the ending of a file is not one of `write_poses`."""
     if path.suffix not in (".h5", ".csv"):
         raise MismatchError(
             path, "a name that ends in .h5 or .csv", path.suffix or "no ending", "rename it"
         )
-    check_file(path)
 
 
 def check_individuals(path: Path, individuals: int) -> None:

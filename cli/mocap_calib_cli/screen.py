@@ -6,7 +6,7 @@ rich draws what a terminal shows. It takes 0.03 s to import, and is not where no
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import click
 
@@ -145,24 +145,22 @@ class Reporter:
         if stage.partition(" (")[0] != self.stage.partition(" (")[0]:
             self._finish_stage()
         self.stage, self.done, self.total = stage, done, total
-        if self.terminal:
-            self._show_bar()
-        elif done < total:
-            self._show_line()
         if done >= total:
             self._finish_stage()
+        elif self.terminal:
+            self._show_bar()
+        else:
+            self._show_line()
 
     def _show_bar(self) -> None:
         """Bring the bar of the stage up to date."""
         if self.bar is None and time.monotonic() - self.start > _BAR_AFTER:
             self.bars = self.bars or _start_bars()
             self.bar = self.bars.add_task(self.stage)
-        self._update_bar(description=self.stage, completed=self.done, total=self.total)
-
-    def _update_bar(self, **values: Any) -> None:
-        """Change the bar of the stage, if it has one."""
         if self.bars is not None and self.bar is not None:
-            self.bars.update(self.bar, **values)
+            self.bars.update(
+                self.bar, description=self.stage, completed=self.done, total=self.total
+            )
 
     def _show_line(self) -> None:
         """Write a line on the stage if there was none for long, with the time that it takes yet."""
@@ -180,7 +178,8 @@ class Reporter:
             most = count(self.total, "step")
             few = f" (needed {self.done} of at most {most})" if self.done < self.total else ""
             self.say(f"{self.stage}: done in {now - self.start:.1f} s{few}")
-        self._update_bar(completed=self.done, total=self.done)
+        if self.bars is not None and self.bar is not None:
+            self.bars.update(self.bar, completed=self.done, total=self.done)
         self.stage, self.bar, self.start = "", None, now
 
     def __enter__(self) -> Self:

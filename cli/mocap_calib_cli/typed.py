@@ -6,14 +6,18 @@ docstring of the function is the help, also of single options: its lines `name: 
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from copy import copy
 from typing import Any
 
 import click
 from click.core import ParameterSource
 
-from mocap_calib_cli.options import HELP, SHARED, split_help
+from mocap_calib.errors import MismatchError, spell_as_option
+from mocap_calib_cli.docstrings import split_help
+from mocap_calib_cli.options import HELP, SHARED
+from mocap_calib_cli.values import Output
 
 # the texts of parameters, by the names of these: one, or those of a parameter with several values
 Texts = dict[str, str | tuple[str, ...]]
@@ -46,6 +50,15 @@ class Typed:
 
 
 Run = Callable[[Typed], int | None]
+
+
+@contextmanager
+def refused_as_usage() -> Iterator[None]:
+    """Make a refusal of the library one of the command line."""
+    try:
+        yield
+    except MismatchError as error:
+        raise click.UsageError(error.render(spell_as_option)) from None
 
 
 class Command(click.Command):
@@ -88,15 +101,20 @@ def as_command(name: str, *params: str | click.Parameter) -> Callable[[Run], Com
     def make(function: Run) -> Command:
         def call(**found: Any) -> None:
             context = click.get_current_context()
-            context.exit(function(Typed(found, context.meta["texts"])) or 0)
+            typed = Typed(found, context.meta["texts"])
+            for param in own:
+                if isinstance(param.type, Output):
+                    param.type.check(getattr(typed, str(param.name)))
+            context.exit(function(typed) or 0)
 
-        about, helps = split_help(inspect.getdoc(function) or "")
+        about, own_helps = split_help(inspect.getdoc(function))
+        helps = HELP | own_helps
         own = [copy(SHARED[each] if isinstance(each, str) else each) for each in params]
         for param in own:
             if isinstance(param, click.Option):
-                param.help = (HELP | helps)[str(param.name)]
+                param.help = helps.get(str(param.name))
         command = Command(name, params=own, callback=call, help=about)
-        command.helps = HELP | helps
+        command.helps = helps
         return command
 
     return make

@@ -113,11 +113,27 @@ class NameOrFile(Written):
         return path.suffix.lower() in self.endings or os.path.isfile(path)
 
 
+class Output(click.Path):
+    """A file or folder that a command writes, which is checked before the work starts."""
+
+    def __init__(self, *, folder: bool = False) -> None:
+        super().__init__(path_type=Path)
+        self.folder = folder
+
+    def check(self, path: Path | None) -> None:
+        """Raise MismatchError or OSError where it could not be written; stdout can, and none."""
+        from mocap_calib_cli.outputs import check_file, check_folder
+
+        if path is not None and str(path) != "-":
+            (check_folder if self.folder else check_file)(path)
+
+
 KEYPOINTS = Input()  # also name=path
 INTRINSICS = Intrinsics()
 INPUT = Input()
 FILE = click.Path(path_type=Path)
-FOLDER = click.Path(path_type=Path, file_okay=False)
+OUTPUT = Output()
+OUTPUT_FOLDER = Output(folder=True)
 
 
 # --- what is typed, as values; each reader raises ValueError for a text of another form

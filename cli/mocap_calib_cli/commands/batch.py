@@ -63,7 +63,7 @@ def command(typed: Typed) -> int:
     as_json: Write the summary to stdout.
     """
     from mocap_calib.errors import count
-    from mocap_calib_cli import ending, outputs
+    from mocap_calib_cli import ending
     from mocap_calib_cli.screen import Reporter
     from mocap_calib_cli.workers import open_workers
 
@@ -72,7 +72,6 @@ def command(typed: Typed) -> int:
         raise click.UsageError(
             "--jobs is for this machine, --scheduler for others; give one of them"
         )
-    outputs.check_folder(typed.output)
     requests = _make_requests(typed)
     processes = min(typed.jobs, len(requests))
     with (
@@ -125,15 +124,10 @@ def _name_recordings(recordings: Iterable[str]) -> dict[str, Path]:
 
     found: dict[str, Path] = {}
     for path in map(Path, recordings):
-        name = path.resolve().name
-        if name in found:
-            raise MismatchError(
-                "",
-                "recordings of different names",
-                f"{found[name]} and {path}",
-                "rename one, or call batch for each",
-            )
-        found[name] = path
+        known = found.setdefault(path.resolve().name, path)
+        if known is not path:
+            remedy = "rename one, or call batch for each"
+            raise MismatchError("", "recordings of different names", f"{known} and {path}", remedy)
     return found
 
 
@@ -203,26 +197,23 @@ class _Batch:
         from mocap_calib_cli.ending import conclude
 
         name, verdict, groups = request.output.name, report["verdict"], len(report["groups"])
+        cameras, individuals = len(report["cameras"]), len(report["individuals"])
         outcome = {
             "status": status,
             "error": complaint or None,
             "groups": groups,
-            "cameras": len(report["cameras"]),
+            "cameras": cameras,
             "left_out": report["left_out"],
-            "individuals": len(report["individuals"]),
+            "individuals": individuals,
             "rig": verdict["rig"],
             "reasons": verdict["reasons"],
             "rotation_sigma_deg": verdict["rotation_sigma_deg"]["max"],
         }
+        further = f", the largest of {groups} groups of cameras" if groups > 1 else ""
         self.reporter.say(
-            f"{name} {status}: {count(outcome['cameras'], 'camera')}, "
-            f"{count(outcome['individuals'], 'individual')}"
+            f"{name} {status}: {count(cameras, 'camera')}, "
+            f"{count(individuals, 'individual')}{further}"
         )
-        if groups > 1:
-            self.reporter.say(
-                f"{name}: {groups} groups of cameras that share too little, each calibrated by "
-                "itself; counted is the largest"
-            )
         conclude(self.reporter, verdict, request.output, self.typed)
         if complaint:
             click.echo(f"mocap-calib: {name}: {complaint}", err=True)

@@ -35,11 +35,10 @@ def command(typed: Typed) -> None:
     from mocap_calib.lift.lifter import load_model, load_vocabulary
     from mocap_calib.recording.sampling import check_known_joints, take_sample
     from mocap_calib.training import on_device
-    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli import inputs
     from mocap_calib_cli.screen import Reporter
 
     KEYPOINT_FORMATS.find(typed.to).writer()
-    outputs.check_folder(typed.output)
     with Reporter(quiet=typed.quiet) as reporter:
         camera_file = inputs.load_camera_file(typed.cameras, "--cameras")
         recording = inputs.read_recording(typed, camera_file, reporter).recording

@@ -19,7 +19,7 @@ _ABOUT = {
 @as_command(
     "example",
     argument("name", Word(tuple(EXAMPLES)), "[NAME]", required=False),
-    option("-o --output", values.FOLDER, metavar="DIR"),
+    option("-o --output", values.OUTPUT_FOLDER, metavar="DIR"),
     "quiet",
 )
 def command(typed: Typed) -> None:

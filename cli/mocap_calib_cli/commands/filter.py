@@ -68,23 +68,14 @@ def command(typed: Typed) -> None:
     from mocap_calib.io.kinds import check_sources, choose_format
     from mocap_calib.io.pose_files import write_poses
     from mocap_calib.stages import filter
-    from mocap_calib_cli import outputs
     from mocap_calib_cli.screen import Reporter
 
-    outputs.check_file(typed.output)
     own = "poses-h5" if typed.output.suffix == ".h5" else ""
     target = typed.to or own or choose_format("poses", str(typed.output))
     check_sources([typed.poses])
     file = load_pose_sources([Path(typed.poses)], None, typed.fps)
     rate = file.rate if math.isfinite(file.rate) else None
-    filtered = filter(
-        file.poses,
-        typed.method,
-        fps=rate,
-        cutoff=typed.cutoff,
-        order=typed.order,
-        window=typed.window,
-        polynomial=typed.polynomial,
-    )
+    settings = {name: getattr(typed, name) for name in vars(_DEFAULT)}
+    filtered = filter(file.poses, fps=rate, **settings)
     lost = write_poses(typed.output, replace(file, poses=filtered), target)
     Reporter(quiet=typed.quiet).say(*file.notes, *describe_lost(target, lost))

@@ -40,11 +40,9 @@ def command(typed: Typed) -> None:
     from mocap_calib.io.results.kinematics_csv import write_kinematics
     from mocap_calib.kinematics import define, measure
     from mocap_calib.recording.joints import fit_vocabulary
-    from mocap_calib_cli import outputs
     from mocap_calib_cli.screen import Reporter
 
     check_sources(typed.poses)
-    outputs.check_folder(typed.output)
     file = load_pose_sources([Path(each) for each in typed.poses], typed.format, typed.fps)
     names = file.poses.keypoints if typed.skeleton else file.spelt
     definitions = define(names, *fit_vocabulary(names, typed.skeleton))

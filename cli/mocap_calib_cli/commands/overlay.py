@@ -11,12 +11,8 @@ from mocap_calib_cli.typed import Typed, as_command
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mocap_calib.types import Keypoints2D
-
 _READING = tuple(
-    name
-    for name in options.READING
-    if name not in ("sides", "rotated", "resized", "exchanged", "crop_offset")
+    name for name in options.READING if name not in ("sides", "rotated", "resized", "exchanged")
 )
 
 
@@ -39,7 +35,6 @@ def _check_cameras(
     option("--frames", values.FRAMES),
     option("--keypoints", values.INPUT, multiple=True, metavar="PATH"),
     *_READING,
-    "crop_offset",
     "quiet",
 )
 def command(typed: Typed) -> None:
@@ -62,18 +57,22 @@ def command(typed: Typed) -> None:
     frames: Write pictures (PNG) of these frames, as poses3d.h5 numbers them, not videos.
     keypoints: Keypoints, as `run` took them. [default: the files that the run read]
     """
+    from mocap_calib.errors import MismatchError
+    from mocap_calib.io.keypoints import read_keypoints
     from mocap_calib.overlay.make import make_overlays
     from mocap_calib.overlay.results import read_results
-    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli import inputs
     from mocap_calib_cli.screen import Reporter
 
-    outputs.check_folder(typed.output)
     with Reporter(quiet=typed.quiet) as reporter:
         found = read_results(typed.results)
         read = inputs.options_of_reading(found.reading, typed)
+        if not read.keypoints:
+            absent = "run.json to say which keypoints the run read"
+            raise MismatchError("", absent, "that it does not", "give --keypoints")
         notes = make_overlays(
             found,
-            _read_detections(read),
+            read_keypoints(read.keypoints, read.format, inputs.read_options(read)),
             typed.video,
             typed.output,
             frames=typed.frames,
@@ -82,19 +81,3 @@ def command(typed: Typed) -> None:
             progress=reporter,
         )
     reporter.say(*notes, f"overlays in {typed.output}")
-
-
-def _read_detections(read: Typed) -> "tuple[Keypoints2D, ...]":
-    """Return the detections of each camera. Raises FormatError and MismatchError."""
-    from mocap_calib.errors import MismatchError
-    from mocap_calib.io.keypoints import read_keypoints
-    from mocap_calib_cli.inputs import read_options
-
-    if not read.keypoints:
-        raise MismatchError(
-            "",
-            "run.json to say which keypoints the run read",
-            "that it does not",
-            "give --keypoints",
-        )
-    return read_keypoints(read.keypoints, read.format, read_options(read))

@@ -2,9 +2,7 @@
 
 import gc
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
@@ -68,15 +66,16 @@ def command(typed: Typed) -> int:
         comments.
     """
     gc.disable()  # what is imported stays: to look for garbage among it takes a seventh of the time
+    from mocap_calib.errors import count
+    from mocap_calib.job.results import UNFINISHED
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
-    from mocap_calib_cli import describe, ending, inputs, outputs
+    from mocap_calib_cli import describe, ending, inputs
     from mocap_calib_cli.screen import Reporter
     from mocap_calib_cli.workers import open_workers
 
     gc.freeze()
     gc.enable()
     ending.check_demands(typed)
-    outputs.check_folder(typed.output)
     request = inputs.calibration_request(typed, typed.output)
     if typed.save_config:
         option_files.save_options(click.get_current_context(), typed.save_config)
@@ -86,8 +85,15 @@ def command(typed: Typed) -> int:
     ):
         job = read_job(request)
         reporter.say(*describe.describe_recording(job.loaded.summary))
-        with _say_how_to_go_on(reporter, typed.output):
+        try:
             result = calibrate_job_resumably(job, progress=reporter, mapper=workers)
+        except KeyboardInterrupt:
+            if kept := len(list((typed.output / UNFINISHED).rglob("*.json"))):
+                reporter.warn(
+                    f"{count(kept, 'pair')} of cameras kept in {typed.output / UNFINISHED}: "
+                    "the same command goes on from there"
+                )
+            raise
     written = write_results(job, result)
 
     reporter.say("", *describe.describe_groups(result))
@@ -98,24 +104,6 @@ def command(typed: Typed) -> int:
         click.echo(f"mocap-calib: {complaint}", err=True)
         return 1
     return ending.exit_status(result.groups[0].verdict, typed)
-
-
-@contextmanager
-def _say_how_to_go_on(reporter: "Reporter", output: Path) -> Iterator[None]:
-    """Say on Ctrl-C what of a run is kept in the folder of its results, if anything is."""
-    from mocap_calib.errors import count
-    from mocap_calib.job.results import UNFINISHED
-
-    try:
-        yield
-    except KeyboardInterrupt:
-        kept = len(list((output / UNFINISHED).rglob("*.json")))
-        if kept:
-            reporter.warn(
-                f"{count(kept, 'pair')} of cameras kept in {output / UNFINISHED}: "
-                "the same command goes on from there"
-            )
-        raise
 
 
 def _say_groups(reporter: "Reporter", written: Sequence["WrittenGroup"], typed: Typed) -> None:

@@ -8,7 +8,7 @@ import click
 
 from mocap_calib.synthetic.config import ANIMAL_MOTION, SimulateConfig
 from mocap_calib_cli import numbers, values
-from mocap_calib_cli.options import option
+from mocap_calib_cli.options import OUTPUT_FOLDER, option
 from mocap_calib_cli.typed import Typed, as_command
 
 _DEFAULT = SimulateConfig()
@@ -39,7 +39,7 @@ def _option(flags: str, kind: Any, **more: Any) -> click.Option:
 
 @as_command(
     "simulate",
-    option("-o --output", values.FOLDER, required=True, metavar="OUT"),
+    OUTPUT_FOLDER,
     _option("--cameras", numbers.COUNT),
     option("--people", numbers.COUNT),
     option("--kind", _KIND, multiple=True),
@@ -122,15 +122,14 @@ def _count_kinds(people: int | None, kinds: tuple[tuple[str, int], ...]) -> dict
 
 def format_command(config: SimulateConfig) -> str:
     """Return the command that makes the same scene, without options that have their defaults."""
-    words = ["mocap-calib simulate -o OUT"]
-    for name, value in vars(config).items():
-        if name in _SAID_APART or value == getattr(_DEFAULT, name):
-            continue
-        words.append(f"{_FLAGS.get(name, '--' + name.replace('_', '-'))} {value}")
+    words = [
+        f"{_FLAGS.get(name, '--' + name.replace('_', '-'))} {value}"
+        for name, value in vars(config).items()
+        if name not in _SAID_APART and value != getattr(_DEFAULT, name)
+    ]
     if config.people and (config.animals or config.people != _DEFAULT.people):
         words.append(f"--people {config.people}")
     words += [f"--kind {kind}:{number}" for kind, number in config.animals]
     if not config.shuffle:
         words.append("--no-shuffle")
-    words.append(f"--seed {config.seed}")
-    return " ".join(words)
+    return " ".join(["mocap-calib simulate -o OUT", *words, f"--seed {config.seed}"])

@@ -1,10 +1,16 @@
 """The stages of `run`, one at a time: each reads records, calls a function, and writes."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mocap_calib_cli import options, values
 from mocap_calib_cli.options import OUTPUT_FILE, OUTPUT_TEXT, STDIO, argument, option
 from mocap_calib_cli.typed import Typed, as_command
+
+if TYPE_CHECKING:
+    from mocap_calib.results import Poses3D
 
 
 @as_command(
@@ -36,7 +42,6 @@ def pairwise(typed: Typed) -> None:
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.screen import Reporter
 
-    outputs.check_file(typed.output)
     with Reporter(quiet=typed.quiet) as reporter:
         camera_file = inputs.load_camera_file(typed.cameras, "--cameras")
         recording = inputs.read_recording(typed, camera_file, reporter).recording
@@ -74,7 +79,6 @@ def average(typed: Typed) -> None:
     from mocap_calib_cli.describe import describe_unused_cameras
     from mocap_calib_cli.screen import Reporter
 
-    outputs.check_file(typed.output)
     source = inputs.open_input(typed.pairs, "PAIRS")
     name = "stdin" if typed.pairs == STDIO else typed.pairs
     content = read_bytes(source) if isinstance(source, Path) else source
@@ -104,7 +108,6 @@ def match(typed: Typed) -> None:
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.screen import Reporter
 
-    outputs.check_file(typed.output)
     with Reporter(quiet=typed.quiet) as reporter:
         rig, loaded, _, _ = inputs.read_recording_of_rig(typed, reporter)
         config = Config(matching=MatchingConfig(individuals=typed.individuals))
@@ -117,7 +120,7 @@ def match(typed: Typed) -> None:
 @as_command(
     "adjust",
     OUTPUT_TEXT,
-    option("--matches-out", values.INPUT, metavar="FILE"),
+    option("--matches-out", values.OUTPUT, metavar="FILE"),
     "rig",
     "matches",
     *options.MODEL,
@@ -148,8 +151,6 @@ def adjust(typed: Typed) -> int:
     from mocap_calib_cli.screen import Reporter
 
     ending.check_demands(typed)
-    outputs.check_file(typed.output)
-    outputs.check_file(typed.matches_out)
     with Reporter(quiet=typed.quiet) as reporter:
         rig, loaded, matches, frames = inputs.read_recording_of_rig(typed, reporter)
         result, matches = bundle_adjust(
@@ -168,7 +169,7 @@ def adjust(typed: Typed) -> int:
     reporter.say("")
     reporter.show(ending.camera_table(report))
     reporter.say(*ending.describe_rig(report))
-    place = "adjusted cameras" if typed.output == STDIO else typed.output
+    place = "adjusted cameras" if str(typed.output) == STDIO else typed.output
     ending.conclude(reporter, report["verdict"], place, typed)
     return ending.exit_status(group.verdict, typed)
 
@@ -185,15 +186,8 @@ def triangulate(typed: Typed) -> None:
         ...).
     """
     from mocap_calib.rig.triangulate import triangulate
-    from mocap_calib_cli import inputs, outputs
-    from mocap_calib_cli.screen import Reporter
 
-    outputs.check_poses(typed.output)
-    with Reporter(quiet=typed.quiet) as reporter:
-        rig, loaded, matches, _ = inputs.read_recording_of_rig(typed, reporter)
-        outputs.check_individuals(typed.output, matches.individuals)
-        poses = triangulate(loaded.recording, rig, matches, progress=reporter)
-    outputs.write_poses(typed.output, poses, loaded.recording, "triangulate")
+    _make_poses(typed, "triangulate", triangulate)
 
 
 @as_command(
@@ -215,13 +209,19 @@ def smooth(typed: Typed) -> None:
     """
     from mocap_calib.config import Config, PosesConfig
     from mocap_calib.stages import smooth
+
+    config = Config(poses=PosesConfig(smooth=typed.smooth))
+    _make_poses(typed, "smooth", partial(smooth, config=config))
+
+
+def _make_poses(typed: Typed, stage: str, make: "Callable[..., Poses3D]") -> None:
+    """Make the 3D poses of a recording with a rig and identities, and write them."""
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.screen import Reporter
 
     outputs.check_poses(typed.output)
-    config = Config(poses=PosesConfig(smooth=typed.smooth))
     with Reporter(quiet=typed.quiet) as reporter:
         rig, loaded, matches, _ = inputs.read_recording_of_rig(typed, reporter)
         outputs.check_individuals(typed.output, matches.individuals)
-        poses = smooth(loaded.recording, rig, matches, config, progress=reporter)
-    outputs.write_poses(typed.output, poses, loaded.recording, "smooth")
+        poses = make(loaded.recording, rig, matches, progress=reporter)
+    outputs.write_poses(typed.output, poses, loaded.recording, stage)

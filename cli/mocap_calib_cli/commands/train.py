@@ -13,11 +13,10 @@ from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.training import PairsConfig, TrainConfig
 from mocap_calib_cli import names, numbers, values
 from mocap_calib_cli.options import AS_JSON, OUTPUT_FILE, argument, option
-from mocap_calib_cli.typed import Typed, as_command
+from mocap_calib_cli.typed import Typed, as_command, refused_as_usage
 
 if TYPE_CHECKING:
     from mocap_calib.training.model import Model
-    from mocap_calib.training.poses import TrainingSource
 
 _DEFAULT = TrainConfig()
 
@@ -98,7 +97,12 @@ def command(typed: Typed) -> None:
     """
     from mocap_calib.training import check_device, torch_threads
     from mocap_calib.training.model import TokenConfig, save_model
-    from mocap_calib.training.poses import TrainingSource, load_pose_sets, load_vocabulary
+    from mocap_calib.training.poses import (
+        TrainingSource,
+        check_source,
+        load_pose_sets,
+        load_vocabulary,
+    )
     from mocap_calib.training.train import (
         held_out_error,
         measure_steering_error,
@@ -107,15 +111,14 @@ def command(typed: Typed) -> None:
         train_steerer,
         training_config,
     )
-    from mocap_calib_cli import outputs
     from mocap_calib_cli.screen import Reporter
 
-    outputs.check_file(typed.output)
     check_device(typed.device)
     source = TrainingSource(
         typed.poses, typed.calibrated, typed.skeleton, typed.up, typed.procedural
     )
-    _check_source(source)
+    with refused_as_usage():
+        check_source(source)
     vocabulary, settings = load_vocabulary(source)
     is_token = typed.architecture == "token"
     sizes = {str(option.name): getattr(typed, str(option.name)) for option in _SIZES}
@@ -145,17 +148,6 @@ def command(typed: Typed) -> None:
     reporter.say(f"held out: {listed}; weights in {typed.output}")
     if typed.as_json:
         click.echo(json.dumps(errors))
-
-
-def _check_source(source: "TrainingSource") -> None:
-    """Raise click's UsageError where what was typed does not go together."""
-    from mocap_calib.errors import MismatchError, spell_as_option
-    from mocap_calib.training.poses import check_source
-
-    try:
-        check_source(source)
-    except MismatchError as error:
-        raise click.UsageError(error.render(spell_as_option)) from None
 
 
 def _typed_command() -> str:

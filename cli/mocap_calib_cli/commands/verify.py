@@ -11,6 +11,8 @@ from mocap_calib_cli.options import AS_JSON, argument, option
 from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from mocap_calib.results import Verification
     from mocap_calib.types import CameraRig
     from mocap_calib_cli.screen import Line, Table
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
 @as_command(
     "verify",
-    option("-o --output", values.INPUT, metavar="FILE"),
+    option("-o --output", values.OUTPUT, metavar="FILE"),
     option("--to", names.WRITTEN_CAMERA_FORMAT),
     argument("rig", values.INPUT, "CAMERAS"),
     "keypoints",
@@ -59,9 +61,8 @@ def command(typed: Typed) -> int:
     from mocap_calib.config import Config
     from mocap_calib.io.kinds import choose_format
     from mocap_calib.verdict.verify import verify
-    from mocap_calib_cli import ending, inputs, outputs, screen
+    from mocap_calib_cli import ending, inputs, screen
 
-    outputs.check_file(typed.output)
     if typed.to and typed.output is None:
         raise click.UsageError("--to: expected a file to write, found none; give -o FILE")
     form = typed.output and (typed.to or choose_format("cameras", typed.output))
@@ -156,7 +157,7 @@ def _camera_table(found: "Verification") -> "Table":
     return Table((*header, "refitted px", "place"), rows, "place")
 
 
-def _write(output: str, form: str, given: "CameraRig", found: "Verification") -> None:
+def _write(output: "Path", form: str, given: "CameraRig", found: "Verification") -> None:
     """Write the calibration with the cameras that moved where they are now.
 
     Cameras that nothing places are left out. Of two cameras nobody knows where they are.
