@@ -2,7 +2,8 @@
 
 `corpus/KIND/NAME` holds one small recording, rig or set of poses as the program NAME writes it.
 Each is converted to the formats of its kind, and read again with each kind of damage to it.
-`corpus/refused-KIND/NAME` holds files with one thing wrong.
+`corpus/refused-KIND/NAME` holds files with one thing wrong, `corpus/details-KIND/NAME` files with
+one thing that is unusual, which `convert` reads.
 """
 
 import json
@@ -19,6 +20,7 @@ from golden.digests import canonical, digest
 
 HERE = Path(__file__).parent
 EXPECTED, MESSAGES = HERE / "expected.json", HERE / "messages.txt"
+PARTICULAR = ("refused", "details")
 APART = 3  # files of a folder that have a digest each
 # rigs that are converted to all formats; of the others it is enough that they are read
 RIGS = {"anipose", "anipose-fisheye", "plain", "colmap"}
@@ -54,7 +56,7 @@ class Conversion:
     @property
     def name(self) -> str:
         """What the case is called in the files of outcomes."""
-        if self.entry.startswith("refused"):
+        if self.entry.startswith(PARTICULAR):
             return self.entry
         return f"{self.entry} {self.damage}" if self.damage else f"{self.entry} -> {self.target}"
 
@@ -131,15 +133,16 @@ def conversions() -> list[Conversion]:
 
 
 def damages() -> list[Conversion]:
-    """Return the readings of damaged files, and of files with one thing wrong."""
+    """Return the readings of damaged files, and of files with one thing wrong or unusual."""
     made = [
         Conversion(entry, TARGETS[entry.split("/")[0]][0], damage)
         for entry in entries()
         for damage in DAMAGES
     ]
     for kind in ("keypoints", "cameras"):
-        wrong = sorted((CORPUS / f"refused-{kind}").iterdir())
-        made += [Conversion(f"refused-{kind}/{path.name}", TARGETS[kind][0]) for path in wrong]
+        for part in PARTICULAR:
+            names = sorted(path.name for path in (CORPUS / f"{part}-{kind}").iterdir())
+            made += [Conversion(f"{part}-{kind}/{name}", TARGETS[kind][0]) for name in names]
     return made
 
 

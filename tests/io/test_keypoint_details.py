@@ -1,5 +1,7 @@
 """What is particular to one keypoint format: small inputs, and the numbers that they hold.
 
+Files that `convert` reads or refuses without options are in tests/golden/corpus.
+
 A row of a table has what writes the files, what is read of them (or a pattern of the refusal), and
 what the user says beside.
 """
@@ -15,7 +17,6 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-import pandas
 import pytest
 from conformance import CORPUS, FRAMES, NAMES, SIZE, recording
 from golden.damage import change_store
@@ -91,66 +92,20 @@ def check(case: Case, folder: Path) -> None:
                 assert found == value
 
 
-# --- COCO and its relatives
+# --- COCO and tables
 
 
-def coco() -> dict[str, Any]:
-    """Return the first three frames of the COCO file of the corpus."""
+def images(*names: str, expected: Any, pattern: str = "", paths: str = "") -> Case:
+    """Return a case of the first frames of the COCO file of the corpus, under other names."""
     data = json.loads((CORPUS / "keypoints" / "coco" / "cam.json").read_text("utf-8"))
     data["images"], data["annotations"] = data["images"][:3], data["annotations"][:6]
-    return data
+    for image, name in zip(data["images"], names, strict=True):
+        image["file_name"] = name
+    return Case(text(data), expected, mc.ReadOptions(camera_pattern=pattern), paths)
 
 
-POINTS = P2[:3]
-FIRST = np.indices(POINTS.shape)[:3].sum(0) == 0  # of all points
-HIDDEN = np.where(np.arange(6).reshape(3, 2, 1, 1) == 0, NAN, POINTS)
-IDS = mc.ReadOptions(layout=NAMES, camera_pattern=r"1(?P<camera>\d{3})(?P<frame>\d{7})")
-
-
-def images(*names: str, expected: Any, paths: str = "", **fields: tuple[object, ...]) -> Case:
-    """Return a case of COCO images with these file names and fields; None removes one."""
-    data = coco()
-    given = fields | ({"file_name": names} if names else {})
-    ids = dict(zip(range(3), fields.get("id", range(3)), strict=True))
-    for k, image in enumerate(data["images"]):
-        image.update({key: values[k] for key, values in given.items()})
-        data["images"][k] = {key: value for key, value in image.items() if value is not None}
-    for each in data["annotations"]:
-        each["image_id"] = ids[each["image_id"]]
-    wanted = {"frames": expected, "positions": POINTS} if isinstance(expected, tuple) else expected
-    return Case(text(data), wanted, paths=paths)
-
-
-def annotated(expected: Any, change: Callable[[dict], object]) -> Case:
-    """Return a case of COCO that a function changes."""
-    data = coco()
-    change(data)
-    return Case(text(data), expected)
-
-
-def first_point(*triple: float | None, expected: Any = (NAN, NAN)) -> Case:
-    return annotated(
-        {"positions": np.where(FIRST, expected, POINTS)},
-        lambda data: data["annotations"][0]["keypoints"].__setitem__(slice(3), triple),
-    )
-
-
-def third_numbers(given: tuple[float, ...], expected: tuple[float, ...]) -> Case:
-    points = [value for each in given for value in (5, 6, each)]
-    return annotated(
-        {"confidence": expected},
-        lambda data: [each.update(keypoints=points) for each in data["annotations"]],
-    )
-
-
-def add_boxes(data: dict) -> None:
-    data["categories"].append({"id": 2, "name": "ball", "keypoints": []})
-    data["annotations"].insert(0, {"id": 9, "image_id": 0, "category_id": 2})
-
-
-def quote_ids(data: dict) -> None:
-    for each in data["annotations"]:
-        each.update(image_id=str(each["image_id"]), category_id="1")
+def row(content: str, expected: Any, **options: Any) -> Case:
+    return Case(text(content, "cam.csv"), expected, mc.ReadOptions(**options))
 
 
 PEOPLE = [
@@ -158,187 +113,62 @@ PEOPLE = [
     for k in (1, 2)
     for f in (4, 9)
 ]
-ROBOFLOW = [f"a_000{k}_png.rf.91b7584a2265b1f{k}.jpg" for k in (3, 4, 5)]
-FOLDERS = ("left/i3.png", "right/i5.png", "left/i9.png")
-LEFT = [{"camera": "left", "frames": [3, 9]}, {"camera": "right", "frames": [5]}]
-PATTERN = [{"camera": "cam2", "frames": [0, 6]}, {"camera": "cam1", "frames": [4]}]
-DAYS = ("day1/cam2/color/0.png", "day1/cam1/color/4.png", "day1/cam2/color/6.png")
-TWICE = ("cam1/0.png", "cam2/0.png", "cam1/1.png")
-BARE = {"file_name": (None,) * 3}
-COCO = {
-    "the first integer": images("a7/5_c1.jpg", "a7/6_c1.jpg", "a7/9_c1.jpg", expected=(5, 6, 9)),
-    "a field": images("5_c.jpg", "6_c.jpg", "9_c.jpg", frame=(31, 32, 33), expected=(31, 32, 33)),
-    "the next field": images(frame=(3, 3, 3), frame_id=(7, 8, 9), **BARE, expected=(7, 8, 9)),
-    "no last integer": images("5_left.jpg", "6_left.jpg", "9_left.jpg", expected=(5, 6, 9)),
-    "ids": images("day1_x_c1.jpg", "day1_y_c1.jpg", "day1_z_c1.jpg", expected=(0, 1, 2)),
-    "a name has none": images("a1.png", "b.png", "c3.png", frame_id=(4, 5, 7), expected=(4, 5, 7)),
-    "no names": images(**BARE, expected=(0, 1, 2)),
-    "what Roboflow adds": images(*ROBOFLOW, expected=(3, 4, 5)),
-    "a folder a camera": images(*FOLDERS, expected=LEFT),
+CROWD = {
+    "images": [{"id": 0, "file_name": "0.png"}],
+    "annotations": [{"image_id": 0, "category_id": 1, "keypoints": [1, 2, 1]}] * 1001,
+    "categories": [{"id": 1, "keypoints": ["nose"]}],
+}
+IMAGES = [("labeled-data", "clip", f"img{frame:04d}.png") for frame in FRAMES]
+LEVELS = {
+    f"predictions/axis1_level{k}": np.array([path[k] for path in IMAGES], "S") for k in range(3)
+} | {f"predictions/axis1_label{k}": np.arange(5) for k in range(3)}
+PATHS = {"predictions/axis1": np.array(["/".join(path) for path in IMAGES], "S")}
+FOUND, ANY_ORDER = {"frames": FRAMES, "positions": P2}, {"tracked": False, "positions": P2}
+OF_VIEWS = "scorer,n,n,n,n\nbodyparts,a_top,a_top,b_bot,b_bot\ncoords,x,y,x,y\n0,1,2,3,4\n"
+HEAD, LITTLE = "camera,frame,individual,keypoint,x,y\n", "frame,keypoint,x,y\n"
+TABLES = {  # with options, of HDF5, or too large to keep; others are in tests/golden/corpus
     "the user knows better": images(
-        *FOLDERS, expected={"camera": "cam", "frames": [3, 5, 9]}, paths="cam={}/cam.json"
+        *("left/i3.png", "right/i5.png", "left/i9.png"),
+        expected={"camera": "cam", "frames": [3, 5, 9]},
+        paths="cam={}/cam.json",
     ),
-    "missing at (0, 0)": first_point(0, 0, 0.9),
-    "missing by a score of 0": first_point(12, 8, 0),
-    "missing at (-1, -1)": first_point(-1, -1, -1),
-    "missing at NaN": first_point(NAN, 3, 0.5),
-    "missing at null": first_point(4, None, 1),
-    "a score that is none": first_point(4, 3, NAN, expected=(4, 3)),
-    "on an edge": first_point(0, 7, 1, expected=(0, 7)),
-    "visibilities": third_numbers((0, 1, 2), (0, 0.5, 1)),
-    "visibilities or scores": third_numbers((0, 1, 1), (0, 1, 1)),
-    "scores": third_numbers((0.5, 1, 2), (0.5, 1, 2)),
-    "visibilities and -1": third_numbers((1, 2, -1), (0.5, 1, 0)),
-    "an empty list": annotated(
-        {"positions": HIDDEN}, lambda data: data["annotations"][0].update(keypoints=[])
-    ),
-    "images in another order": annotated(
-        {"frames": [0, 1, 2], "positions": POINTS}, lambda data: data["images"].reverse()
-    ),
-    "annotations in another order": annotated(
-        {"positions": POINTS[:, ::-1]}, lambda data: data["annotations"].reverse()
-    ),
-    "an image without annotations": annotated(
-        {"positions": np.where(np.arange(3).reshape(3, 1, 1, 1) == 1, NAN, POINTS)},
-        lambda data: data["annotations"].__delitem__(slice(2, 4)),
-    ),
-    "ids that are quoted": annotated({"positions": POINTS}, quote_ids),
-    "a category of boxes": annotated({"positions": POINTS}, add_boxes),
     "results of two cameras": Case(
-        text(PEOPLE), [{"camera": camera, "frames": [4, 9]} for camera in ("001", "002")], IDS
+        text(PEOPLE),
+        [{"camera": camera, "frames": [4, 9]} for camera in ("001", "002")],
+        mc.ReadOptions(layout=NAMES, camera_pattern=r"1(?P<camera>\d{3})(?P<frame>\d{7})"),
     ),
-    "cameras by a pattern": images(*DAYS, expected=PATTERN)._replace(
-        options=mc.ReadOptions(camera_pattern="cam[12]")
-    ),
-    "a crowd": annotated(
-        "at most 1000", lambda data: data.update(annotations=data["annotations"][:1] * 1001)
+    "cameras by a pattern": images(
+        *("day1/cam2/color/0.png", "day1/cam1/color/4.png", "day1/cam2/color/6.png"),
+        expected=[{"camera": "cam2", "frames": [0, 6]}, {"camera": "cam1", "frames": [4]}],
+        pattern="cam[12]",
     ),
     "two cameras under one name": images(
-        *TWICE, expected="without a name|twice", paths="a={}/cam.json"
+        *("cam1/0.png", "cam2/0.png", "cam1/1.png"),
+        expected="without a name|twice",
+        paths="a={}/cam.json",
     ),
-}
-
-# --- tables
-
-
-def row(content: str, expected: Any, **options: Any) -> Case:
-    return Case(text(content, "cam.csv"), expected, mc.ReadOptions(**options))
-
-
-def columns(*labels: list[str] | tuple[str, ...]) -> pandas.MultiIndex:
-    """Return DeepLabCut's header of all combinations of some labels below the scorer."""
-    levels = ["scorer", *["individuals"][: len(labels) - 2], "bodyparts", "coords"]
-    return pandas.MultiIndex.from_product([["net"], *labels], names=levels)
-
-
-def triples(p: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return x, y and likelihood of all points, a row a frame."""
-    return np.concatenate([p, c[..., None]], -1).reshape(len(p), -1)
-
-
-COORDS = ("x", "y", "likelihood")
-OF_ONE, VALUES = columns(NAMES, COORDS), triples(P, C)
-
-
-def dlc(
-    expected: Any, *, rows=FRAMES, header=OF_ONE, values=VALUES, change=list, **options
-) -> Case:
-    """Return a case of a DeepLabCut table whose lines a function changes."""
-    lines = pandas.DataFrame(values, rows, header).to_csv().splitlines()
-    return row("\n".join(change(lines)), expected, **options)
-
-
-IMAGES = [("labeled-data", "clip", f"img{frame:04d}.png") for frame in FRAMES]
-PATHS = ["/".join(path) for path in IMAGES]
-FOUND, FOUND2 = {"frames": FRAMES, "positions": P}, {"frames": FRAMES, "positions": P2}
-LEVELS = {
-    f"predictions/axis1_{part}": value
-    for k in range(3)
-    for part, value in (
-        (f"level{k}", np.array([path[k] for path in IMAGES], "S")),
-        (f"label{k}", np.arange(5)),
-    )
-}
-UNIQUE = {
-    "header": columns(("m1", "m2"), NAMES, COORDS).append(columns(["single"], ["corner"], COORDS))[
-        ::-1
-    ],
-    "values": np.concatenate([triples(P2, C2), np.ones((len(FRAMES), 3))], axis=1)[:, ::-1],
-}
-TURNED = {"keypoints": NAMES[::-1], "positions": P2[:, ::-1, ::-1], "remarks": "corner"}
-USED = ["set", "", "", "train", "validation", "unlabeled", "", "test"]
-ENSEMBLE = (*COORDS, "x_ens_median", "y_ens_median", "x_ens_var", "x_posterior_var")
-ANIMALS = {"header": columns(("animal0", "animal1"), NAMES, COORDS), "values": triples(P2, C2)}
-ANY_ORDER = {"tracked": False, "positions": P2}
-SHORT = np.where(np.arange(5).reshape(5, 1, 1, 1) == 1, NAN, P)
-VIEWS = [
-    {"camera": "top", "keypoints": ("nose", "tail"), "positions": P[:, :, :2]},
-    {"camera": "bot", "keypoints": ("nose",), "positions": P[:, :, 2:]},
-]
-HEAD, LITTLE = "camera,frame,individual,keypoint,x,y\n", "frame,keypoint,x,y\n"
-QUOTED = 'track,frame_idx,instance.score,"a,b.x","a,b.y","a,b.score"\n,0,1.0,10.0,20.0,0.5\n'
-TABLES = {
-    "paths of images": dlc(FOUND, rows=PATHS),
-    "paths in three columns": dlc(FOUND, rows=pandas.MultiIndex.from_tuples(IMAGES)),
+    "a crowd": Case(text(CROWD), "at most 1000"),
     "paths as levels in .h5": Case(
-        stored("deeplabcut-h5-fixed", {"predictions/axis1": None} | LEVELS), FOUND2
+        stored("deeplabcut-h5-fixed", {"predictions/axis1": None} | LEVELS), FOUND
     ),
-    "paths in .h5": Case(
-        stored("deeplabcut-h5-fixed", {"predictions/axis1": np.array(PATHS, "S")}), FOUND2
+    "paths in .h5": Case(stored("deeplabcut-h5-fixed", PATHS), FOUND),
+    "two views in names": row(
+        OF_VIEWS,
+        [
+            {"camera": "top", "keypoints": ("a",), "positions": [1, 2]},
+            {"camera": "bot", "keypoints": ("b",), "positions": [3, 4]},
+        ],
+        views=("top", "bot"),
     ),
-    "no likelihood": dlc(
-        {"positions": P, "confidence": C > 0},
-        header=columns(NAMES, COORDS[:2]),
-        values=P.reshape(5, -1),
-    ),
-    "unique body parts": dlc(TURNED, **UNIQUE),
-    "a mark, line ends, short scorers, a short row": dlc(
-        {"positions": SHORT},
-        change=lambda x: ["\ufeffscorer,net\r", *x[1:4], f"{FRAMES[1]},,\r", *x[5:], "\r"],
-    ),
-    "Lightning Pose's column of sets": dlc(
-        {"keypoints": NAMES, "positions": P},
-        change=lambda x: [f"{line},{used}" for line, used in zip(x, USED, strict=True)],
-    ),
-    "the spread of an ensemble": dlc(
-        {"positions": P, "confidence": C},
-        header=columns(NAMES, ENSEMBLE),
-        values=np.concatenate([P, C[..., None], np.full((*C.shape, 4), 7.0)], -1).reshape(5, -1),
-    ),
-    "animals of SuperAnimal": dlc(ANY_ORDER, **ANIMALS),
-    "two views in names": dlc(
-        VIEWS, header=columns(("nose_top", "tail_top", "nose_bot"), COORDS), views=("top", "bot")
-    ),
-    "a view that is none": dlc("views=", views=("top",)),
-    "a quote without end": dlc("expected", change=lambda x: [*x, '"' + "x," * 200_000]),
-    "a comma in a name": row(QUOTED, {"keypoints": ("a,b",), "positions": [10.0, 20.0]}),
-    "little": row(
-        LITTLE + "7,nose,1.5,2.5\n9,,,\n8,tail,3,4\n",
-        {
-            **{"camera": "cam", "keypoints": ("nose", "tail"), "frames": [7, 8, 9]},
-            **{"tracked": True},
-            "positions": [[[[1.5, 2.5], [NAN] * 2]], [[[NAN] * 2, [3, 4]]], [[[NAN] * 2] * 2]],
-        },
-    ),
+    "a view that is none": row(OF_VIEWS, "views=", views=("top",)),
+    "a quote without end": row(OF_VIEWS + '"' + "x," * 200_000, "expected"),
     "pixels with an image size": row(
         LITTLE + "0,nose,12.5,300\n",
         {"positions": [12.5, 300], "image_size": SIZE},
         image_size=SIZE,
     ),
-    "a mark and line ends": row(
-        "\ufeffframe,keypoint,x,y\r\n3,nose,1.5,2.5\r\n", {"positions": [1.5, 2.5]}
-    ),
-    "an empty cell beyond the header": row(LITTLE + "3,nose,1.5,2.5,\n", {"positions": [1.5, 2.5]}),
     "a crowd of keypoints": row(
         HEAD + "".join(f"c,0,a,k{k},1,2\n" for k in range(60_000)), "at most 5000 keypoints"
-    ),
-    "points without names": Case(
-        lambda folder: shutil.copy(CORPUS / "keypoints/label3d/labels.mat", folder),
-        {"keypoints": ("point_1", "point_2", "point_3")},
-    ),
-    "numbered points": row(
-        "sync_index,cam_id,keypoint_id,img_loc_x,img_loc_y\n4,a,7,1,2\n4,a,2,3,4\n",
-        {"keypoints": ("7", "2"), "positions": [[1, 2], [3, 4]], "frames": [4]},
     ),
     "fewer names than points": Case(
         lambda folder: shutil.copy(CORPUS / "keypoints/caliscope/xy.csv", folder),
@@ -641,7 +471,7 @@ STORES = {
     "case",
     [
         pytest.param(case, id=name)
-        for kind in (COCO, TABLES, PER_FRAME, STORES)
+        for kind in (TABLES, PER_FRAME, STORES)
         for name, case in kind.items()
     ],
 )
