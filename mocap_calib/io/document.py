@@ -21,7 +21,7 @@ import msgspec
 from mocap_calib.errors import FormatError
 from mocap_calib.io.file import Origin, decode, is_utf16, opened, read_bytes
 from mocap_calib.io.hdf5 import DAMAGE, HDF5, damage_refused
-from mocap_calib.io.syntax import PARSERS, is_toml
+from mocap_calib.io.syntax import is_toml, parse
 
 # beginnings of files that hold something else around what is wanted: what they are, what to do
 _FOREIGN = {
@@ -229,10 +229,9 @@ class Document:
     @cached_property
     def tree(self) -> Any:
         """The text parsed by its syntax; each key occurs once."""
-        if self.syntax not in PARSERS:
-            found = "a folder" if self.is_folder else "a binary file"
-            raise self.refuse("text", found, "name another format")
-        return PARSERS[self.syntax](self.text, self.source)
+        if self.syntax in ("folder", "binary"):
+            raise self.refuse("text", f"a {self.syntax}", "name another format")
+        return parse(self.text, self.syntax, self.source)
 
     def mapping(self, *keys: str) -> dict[str, Any]:
         """Return the tree, which is a mapping with the keys."""

@@ -74,10 +74,6 @@ class Format:
     points: bool = False
     loses: tuple[Loss, ...] = ()
 
-    def sniffs(self, document: Document) -> bool:
-        """Return whether a document is meant for this format. Raises FormatError."""
-        return self.sniff is not None and self.sniff(document)
-
     def lost(self, records: Any) -> tuple[str, ...]:
         """Return what of the records the format has no place for, in words."""
         return tuple(loss.what.format(records) for loss in self.loses if loss.has(records))
@@ -85,11 +81,9 @@ class Format:
     def reader(self) -> Callable[..., Any]:
         """Return what reads the format. Raises MismatchError where it is only written."""
         if self.read is None:
+            remedy = "give the file that it was made of, or leave the name of the format out"
             raise MismatchError(
-                self.name,
-                "a format that is read",
-                "one that is only written",
-                "give the file that it was made of, or leave the name of the format out",
+                self.name, "a format that is read", "one that is only written", remedy
             )
         return self.read
 
@@ -99,20 +93,15 @@ class Format:
         Raises MismatchError where it is only read, and where the packages for it are not there.
         """
         if self.write is None:
+            remedy = "choose one that is (docs/formats.md)"
             raise MismatchError(
-                self.name,
-                "a format that is written",
-                "one that is only read",
-                "choose one that is (docs/formats.md)",
+                self.name, "a format that is written", "one that is only read", remedy
             )
         missing = [name for name in self.packages if find_spec(name) is None]
         if missing:
-            raise MismatchError(
-                self.name,
-                f"the Python package {' and '.join(missing)}",
-                "none",
-                f"pip install 'mocap-calib[{self.extra}]'",
-            )
+            expected = f"the Python package {' and '.join(missing)}"
+            remedy = f"pip install 'mocap-calib[{self.extra}]'"
+            raise MismatchError(self.name, expected, "none", remedy)
         return self.write
 
 
@@ -177,7 +166,7 @@ class FormatTable:
         Only the format of that name is tried where one is given. Raises FormatError.
         """
         tried = (each for each in self if name in (None, each.name))
-        return next((each.name for each in tried if each.sniffs(document)), "")
+        return next((each.name for each in tried if each.sniff and each.sniff(document)), "")
 
     def require(self, document: Document, name: str | None, remedy: str) -> Format:
         """Return the format of a document: what it is known to have, else what its content shows.

@@ -25,51 +25,39 @@ def is_toml(text: str) -> bool:
     return re.search(_TOML_LINE, text, re.M) is not None and not re.match(_OTHER_START, text)
 
 
-def parse_json(text: str, source: str) -> Any:
-    """Return parsed JSON. Raises FormatError, also where a key occurs twice."""
+def parse(text: str, syntax: str, source: str) -> Any:
+    """Return parsed text. Raises FormatError, also where a key occurs twice.
 
-    def check_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) < len(pairs):
-            twice = find_repeated(name for name, _ in pairs)[0]
-            raise FormatError(source, "each key once", f"{twice} twice", "rename one of them")
-        return found
-
+    syntax: `json`, `toml` or `yaml`, that of OpenCV's dialects too.
+    """
     try:
-        return json.loads(text, object_pairs_hook=check_once)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(source, "JSON", f"an error ({error})", "write the file again") from None
+        if syntax == "json":
+            return json.loads(text, object_pairs_hook=_object)
+        return tomllib.loads(text) if syntax == "toml" else _parse_yaml(text)
+    except (
+        *(yaml.YAMLError, RecursionError, ValueError),
+        *(TypeError, AttributeError, KeyError),  # of PyYAML
+    ) as error:
+        found = f"an error ({error})"
+        raise FormatError(source, syntax.upper(), found, "correct the file") from None
 
 
-def parse_toml(text: str, source: str) -> Any:
-    """Return parsed TOML. Raises FormatError."""
-    try:
-        return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise FormatError(source, "TOML", f"an error ({error})", "correct that line") from None
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of JSON. Raises ValueError."""
+    for name in find_repeated(name for name, _ in pairs):
+        raise ValueError(f"the key {name} twice")
+    return dict(pairs)
 
 
-def parse_yaml(text: str, source: str) -> Any:
-    """Return parsed YAML, also of OpenCV's dialects. Raises FormatError."""
+def _parse_yaml(text: str) -> Any:
+    """Return parsed YAML. Raises whatever PyYAML does."""
     if len(text) > _YAML_CHARACTERS:
-        expected = f"YAML of cameras, below {_YAML_CHARACTERS // 1_000_000} MB"
-        found = f"{len(text) // 1_000_000} MB"
-        raise FormatError(source, expected, found, "give the cameras alone")
+        most, size = _YAML_CHARACTERS // 1_000_000, len(text) // 1_000_000
+        raise ValueError(f"{size} MB; YAML of cameras is below {most} MB")
     # OpenCV 4 writes `%YAML:1.0`, which is not YAML; `rostopic echo` ends with a line that begins
     # another document
     text = re.sub(r"\A\s*%YAML.*\n", "", text)
-    text = re.sub(r"\n---\s*\Z", "\n", text)
-    try:
-        return yaml.load(text, _Loader)  # a SafeLoader
-    except (
-        yaml.YAMLError,
-        RecursionError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        KeyError,
-    ) as error:
-        raise FormatError(source, "YAML", f"an error ({error})", "correct the file") from None
+    return yaml.load(re.sub(r"\n---\s*\Z", "\n", text), _Loader)  # a SafeLoader
 
 
 class _Loader(yaml.SafeLoader):
@@ -104,10 +92,4 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:
-    return loader.construct_yaml_map(node)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
-
-PARSERS = {"json": parse_json, "toml": parse_toml, "yaml": parse_yaml}
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_yaml_map)

@@ -54,18 +54,10 @@ _EXTRINSIC_KEYS: dict[str, tuple[str, ...]] = {
 _SIZE_KEYS = {"width": ("image_width", "width"), "height": ("image_height", "height")}
 _FISHEYE_MODELS = ("equidistant", "fisheye")
 _PINHOLE_MODELS = ("", "plumb_bob", "rational_polynomial", "opencv", "pinhole", "radtan", "none")
-_FILE_STORAGE_MATRIX = "!!opencv-matrix"
 _INTRINSICS, _EXTRINSICS = "intri.yml", "extri.yml"
 
 
 # --- OpenCV and ROS
-
-
-def sniff_ros(document: Document) -> bool:
-    """Return whether this is a camera_info file, or what `rostopic echo` prints of the topic."""
-    return document.has_line(r"^distortion_model\s*:") and (
-        _FILE_STORAGE_MATRIX not in document.text
-    )
 
 
 def read_ros(document: Document) -> CameraFile:
@@ -143,7 +135,7 @@ def _format_file(fields: Mapping[str, str | int | list[str] | Floats]) -> bytes:
         if isinstance(value, np.ndarray):
             rows, columns = value.shape
             data = ", ".join(map(_format_number, value.ravel().tolist()))
-            lines += [f"{key}: {_FILE_STORAGE_MATRIX}", f"   rows: {rows}", f"   cols: {columns}"]
+            lines += [f"{key}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {columns}"]
             lines += ["   dt: d", f"   data: [ {data} ]"]
         elif isinstance(value, list):
             lines += [f"{key}:", *(f'  - "{each}"' for each in value)]
@@ -253,16 +245,6 @@ class _KalibrCamera(msgspec.Struct):
     T_cn_cnm1: Any = None
 
 
-def sniff_kalibr(document: Document) -> bool:
-    """Return whether this is YAML of cameras, all with intrinsics."""
-    if document.syntax != "yaml" or "intrinsics" not in document.text:
-        return False
-    if not isinstance(document.tree, dict) or not document.tree:
-        return False
-    cameras = document.tree.values()
-    return all(isinstance(fields, dict) and "intrinsics" in fields for fields in cameras)
-
-
 def read_kalibr(document: Document) -> CameraFile:
     """Read the cameras in the order of the chain. Raises FormatError."""
     expected = "cameras cam0, cam1, ... of the models pinhole and radtan, equidistant or none"
@@ -311,22 +293,21 @@ EASYMOCAP = Format(
 KALIBR = Format(
     name="kalibr",
     title="Kalibr camchain",
-    sniff=sniff_kalibr,
+    sniff=partial(Document.has_line, pattern=r"^\s+intrinsics\s*:"),
     read=read_kalibr,
     unit="m",
 )
 ROS = Format(
     name="ros",
     title="ROS camera_info",
-    sniff=sniff_ros,
+    sniff=partial(Document.has_line, pattern=r"(?s)\A(?!.*!!opencv-matrix).*^distortion_model\s*:"),
     read=read_ros,
 )
 OPENCV = Format(
     name="opencv",
     title="OpenCV YAML",
     sniff=partial(
-        Document.has_line,
-        pattern=r"\A\s*%YAML|!!opencv-matrix|^(camera_matrix|K|M1)\s*:",
+        Document.has_line, pattern=r"\A\s*%YAML|!!opencv-matrix|^(camera_matrix|K|M1)\s*:"
     ),
     read=read_opencv,
     write=write_opencv,

@@ -5,8 +5,8 @@ Every float is written with as many digits as bring it back exactly.
 
 import json
 import re
-import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -29,6 +29,8 @@ CONVENTION = "x_camera = R x_world + t; x right, y down, z forward; pixel centre
 _NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spaces
 _FORMAT = r"^format: *[\"']?mocap-calib cameras"
 _EXPECTED = "name, size, K and a model of opencv, fisheye or pinhole"
+_Table = Annotated[tuple[tuple[int, int], ...], msgspec.Meta(min_length=1)]
+_Rate = Annotated[float, msgspec.Meta(gt=0, le=1e300)]
 _Sigma = Annotated[float, msgspec.Meta(ge=0, le=1e300)]
 
 
@@ -66,6 +68,11 @@ class _Camera(msgspec.Struct):
         if self.estimated is msgspec.UNSET:
             return camera
         return EstimatedCamera.of(camera, **msgspec.structs.asdict(self.estimated))
+
+
+class _Offset(msgspec.Struct):
+    name: Any
+    clock_subframe_offset: Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]
 
 
 class _File(msgspec.Struct):
@@ -195,18 +202,15 @@ def _clock_fields(rig: CameraRig, camera: str) -> dict[str, Any]:
 
 def _read_clock(fields: _Camera, camera: str) -> CameraClock | None:
     """Return the clock that `_clock_fields` wrote, None where there is none that makes sense."""
-    offset, rate = fields.clock_offset_frames, fields.clock_rate
+    offset = fields.clock_offset_frames
     if type(offset) is int:
         return CameraClock(camera, "clock", offset)
-    if not isinstance(offset, list) or not offset:
-        return None
-    if type(rate) not in (int, float) or not 0 < rate < float("inf"):
-        return None
-    if not all(isinstance(row, list) and list(map(type, row)) == [int, int] for row in offset):
-        return None
-    kind: ClockKind = "dropped" if rate == 1.0 else "rate"
-    table = tuple((row[0], row[1]) for row in offset)
-    return CameraClock(camera, kind, table[0][1], float(rate), table)
+    with suppress(msgspec.ValidationError):
+        table = msgspec.convert(offset, _Table)
+        rate = msgspec.convert(fields.clock_rate, _Rate)
+        kind: ClockKind = "dropped" if rate == 1.0 else "rate"
+        return CameraClock(camera, kind, table[0][1], rate, table)
+    return None
 
 
 def _dump_yaml(fields: Mapping[str, Any], *, flow: bool | None) -> str:
@@ -227,20 +231,14 @@ def stored_provenance(path: Path) -> dict[str, Any]:
     It is what `write` takes. What was edited into something else is left out. Raises FormatError.
     """
     tree = Document(path).tree
-    stored = tree if isinstance(tree, Mapping) else {}
-    cameras = stored.get("cameras")
-    offsets = {
-        str(camera["name"]): float(camera[SUBFRAME])
-        for camera in (cameras if isinstance(cameras, list) else ())
-        if isinstance(camera, Mapping) and "name" in camera and _is_number(camera.get(SUBFRAME))
-    }
-    provenance = stored.get("provenance")
-    known = dict(provenance) if isinstance(provenance, Mapping) else {}
-    return known | ({SUBFRAME: offsets} if offsets else {})
-
-
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and abs(value) <= sys.float_info.max
+    stored = tree if isinstance(tree, dict) else {}
+    cameras, known = stored.get("cameras"), stored.get("provenance")
+    offsets: dict[str, float] = {}
+    for camera in cameras if isinstance(cameras, list) else ():
+        with suppress(msgspec.ValidationError):
+            offset = msgspec.convert(camera, _Offset)
+            offsets[str(offset.name)] = offset.clock_subframe_offset
+    return (known if isinstance(known, dict) else {}) | ({SUBFRAME: offsets} if offsets else {})
 
 
 FORMAT = Format(
