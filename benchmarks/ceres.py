@@ -13,7 +13,7 @@ from mocap_calib.adjust.problem import Problem, choose_problem
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import CORNER_OFFSET, Config
 from mocap_calib.geometry.rotation import with_size_of
-from mocap_calib.io.formats.colmap_model import build_model, silent_colmap
+from mocap_calib.io.formats.colmap import build_model, silent_colmap
 from mocap_calib.results import Matches, ObservedPoints
 from mocap_calib.types import Camera, CameraRig, Floats, Sample
 

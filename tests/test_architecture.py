@@ -117,10 +117,7 @@ def test_the_readme_says_what_each_dependency_is_for():
 DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/training/", "mocap_calib/paper/"),
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),
-    "pycolmap": (
-        "mocap_calib/io/formats/colmap_model.py",
-        "mocap_calib/paper/five_point.py",
-    ),
+    "pycolmap": ("mocap_calib/io/formats/colmap.py", "mocap_calib/paper/five_point.py"),
     "h5py": ("mocap_calib/io/",),
     "h5netcdf": ("mocap_calib/io/",),
     "c3d": ("mocap_calib/io/",),

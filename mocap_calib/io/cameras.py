@@ -271,18 +271,17 @@ def check_rig(
     fisheye: bool = False,
     sizes: Literal["needed", "held", "lost"] = "held",
     names: tuple[str, str] = (r"(?s:.*)", ""),
-    remedy: str = "rename the camera",
     verdict: bool = True,
 ) -> tuple[str, ...]:
     """Return what of a rig a format does not hold, in words that follow "does not hold".
 
     name: of the format. terms: how many distortion coefficients it has. fisheye: whether it has
     cv2.fisheye's model. sizes: what it does with image sizes. names: the pattern of the names of
-    cameras, and words for it; remedy: for other names. verdict: whether it holds the verdict.
+    cameras, and words for it. verdict: whether it holds the verdict.
 
     Raises MismatchError where the format cannot hold the rig.
     """
-    need_names(rig.names, *names, name, remedy)
+    need_names(rig.names, *names, name)
     for camera in rig.cameras:
         if sizes == "needed" and 0 in camera.size:
             expected = f"the image size of camera {camera.name}"
@@ -320,7 +319,6 @@ def need_names(
     pattern: str,
     words: str,
     owner: str,
-    remedy: str = "rename the camera",
 ) -> None:
     """Raise MismatchError where a camera's name does not match the pattern.
 
@@ -328,7 +326,9 @@ def need_names(
     """
     for camera in cameras:
         if not re.fullmatch(pattern, camera):
-            raise MismatchError(owner, f"camera names of {words}", f"{camera!r}", remedy)
+            raise MismatchError(
+                owner, f"camera names of {words}", f"{camera!r}", "rename the camera"
+            )
 
 
 def to_json(value: Any) -> bytes:

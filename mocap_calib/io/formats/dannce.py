@@ -35,11 +35,10 @@ from mocap_calib.io.format import Format, Written
 from mocap_calib.io.read_options import ReadOptions, choose_layout
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
-_REMEDY = "save it from Label3D again, for MATLAB 7 (not 7.3)"
+_REMEDY = "save it again, for MATLAB 7 (save -v7)"
 _VARIABLES = ("camnames", "labelData")
 _FIELDS = ("K", "RDistort", "TDistort", "r", "t")
 _MOST_SKEW = 1e-2  # of the focal length: what MATLAB estimates where there is only noise
-_CAMERA_REMEDY = "save params and camnames with `save -v7`"
 _ONE_CAMERA_STEM = r"(?:hires_)?(?P<camera>.+?)(?:_params)?"
 _HEADER = rb"\AMATLAB 5.0 MAT-file.{96}"  # text of 116 bytes, with the time
 
@@ -48,8 +47,8 @@ _HEADER = rb"\AMATLAB 5.0 MAT-file.{96}"  # text of 116 bytes, with the time
 
 
 def sniff(document: Document) -> bool:
-    """Return whether the file has the mark of a MATLAB 5 file."""
-    return document.start.startswith(b"MATLAB 5.0 MAT-file")
+    """Return whether MATLAB wrote the file."""
+    return not document.is_folder and document.start.startswith(b"MATLAB")
 
 
 def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
@@ -57,7 +56,7 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 
     Keypoints are `point_1`, ... where the user does not name them. Raises FormatError.
     """
-    found = _read_mat(document, _VARIABLES, expected="a whole MATLAB file", remedy=_REMEDY)
+    found = _read_mat(document, _VARIABLES)
     missing = sorted(set(_VARIABLES) - found.keys())
     if missing:
         absent, remedy = f"no {' and no '.join(missing)}", "give the file that Label3D saved"
@@ -108,11 +107,6 @@ def _frames_and_positions(label: Any, source: str) -> tuple[Ints, Floats]:
 # --- cameras
 
 
-def sniff_cameras(document: Document) -> bool:
-    """Return whether MATLAB wrote the file."""
-    return document.syntax == "binary" and document.content.startswith(b"MATLAB")
-
-
 def read_cameras(document: Document) -> CameraFile:
     """Read all cameras of a file, or its one camera. Raises FormatError."""
     raws: list[RawCamera] = []
@@ -147,10 +141,7 @@ def _load(document: Document) -> list[tuple[str, dict[str, Any]]]:
 
     Raises FormatError.
     """
-    if document.content.startswith(b"MATLAB 7.3"):
-        raise document.refuse("a .mat file of version 7 or below", "version 7.3", _CAMERA_REMEDY)
-    wanted, expected = ("params", "camnames", *_FIELDS), "a .mat file of Label3D or DANNCE"
-    found = _read_mat(document, wanted, expected=expected, remedy=_CAMERA_REMEDY)
+    found = _read_mat(document, ("params", "camnames", *_FIELDS))
     if "params" not in found and found.keys() >= set(_FIELDS):
         name = re.fullmatch(_ONE_CAMERA_STEM, document.stem)
         return [(name["camera"] if name else document.stem, found)]
@@ -199,23 +190,21 @@ def write_cameras(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
 # --- variables of MATLAB files (up to version 7), read by scipy behind the crash guard
 
 
-def _read_mat(
-    document: Document, wanted: tuple[str, ...], *, expected: str, remedy: str
-) -> dict[str, Any]:
+def _read_mat(document: Document, wanted: tuple[str, ...]) -> dict[str, Any]:
     """Return the variables of these names.
 
     They are arrays, text, lists for cells, and lists of dictionaries for structs (both in MATLAB's
     order); None for functions and objects.
 
-    expected, remedy: of the FormatError that is raised where the file is cut or damaged.
+    Raises FormatError.
     """
+    if document.content.startswith(b"MATLAB 7.3"):
+        raise document.refuse("a .mat file of version 7 or below", "version 7.3", _REMEDY)
     return guard(
         _load_mat,
         document.content,
         wanted,
         document.source,
-        expected,
-        remedy,
         what="MATLAB file",
         library="scipy",
         source=document.source,
@@ -224,9 +213,7 @@ def _read_mat(
     )
 
 
-def _load_mat(
-    content: bytes, wanted: tuple[str, ...], source: str, expected: str, remedy: str
-) -> dict[str, Any]:
+def _load_mat(content: bytes, wanted: tuple[str, ...], source: str) -> dict[str, Any]:
     """Read the variables in the process that is for it."""
     from scipy.io import loadmat  # noqa: PLC0415 - takes 0.2 s
 
@@ -237,7 +224,7 @@ def _load_mat(
         raise
     except Exception as error:  # scipy raises whatever damage leads to
         reason = f"an error ({one_line(error) or type(error).__name__})"
-        raise FormatError(source, expected, reason, remedy) from None
+        raise FormatError(source, "a whole MATLAB file", reason, _REMEDY) from None
 
 
 def _simplify(value: Any) -> Any:
@@ -261,7 +248,7 @@ KEYPOINTS = Format(
 CAMERAS = Format(
     name="dannce",
     title="Label3D or DANNCE .mat",
-    sniff=sniff_cameras,
+    sniff=sniff,
     read=read_cameras,
     write=write_cameras,
     unit="mm",
