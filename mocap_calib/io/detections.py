@@ -162,6 +162,8 @@ def make_view(
 
     Raises FormatError where a frame number or a name occurs twice.
     """
+    frame_count, instances, keypoints = values.shape[:3]
+    check_size(frame_count, instances, keypoints, origin.source)
     _check_count(names, _MOST_KEYPOINTS, "keypoints", origin.source)
     twice = find_repeated(names)
     if twice:
@@ -305,11 +307,6 @@ def view_of_frames(
             if len(points):
                 target[:] = points
     return make_view(document.origin, names, frames, values, **further)
-
-
-def fill_missing_scores(values: Floats) -> tuple[Floats, tuple[str, ...]]:
-    """Return the values as they are: `make_view` fills scores."""
-    return values, ()
 
 
 # --- what a format may have no place for

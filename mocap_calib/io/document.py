@@ -35,7 +35,7 @@ _BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
 _DAMAGED = "the file is cut or damaged: export it again"
 _LISTED_TEXT = 40  # characters of a file in a message
 _HEAD = 65536  # bytes of a file that formats are told by
-_BLOCK = 250_000  # bytes that are read at a time
+_BLOCK = 60_000  # bytes that are read at a time
 _TYPES = {
     "array": "a list",
     "float": "a number",
@@ -163,7 +163,7 @@ class Document:
             yield file
 
     def blocks(self, first_line: int = 0) -> Iterator[bytes]:
-        """Return the content from a line on, in blocks of whole lines, of about 250 kB.
+        """Return the content from a line on, in blocks of whole lines, of about 60 kB.
 
         The file is closed between two blocks: nobody need read it to its end.
         """

@@ -91,7 +91,8 @@ def read_table(
         plain = _read_plain(document, first_line, width)
     values = np.frombuffer(plain).reshape(-1, width)
     lines = list(range(first_line + 1, first_line + 1 + len(values)))
-    kept = [[str(number)] for number in values[:, 0].astype(np.int64).tolist()]
+    numbers_of_rows = tuple(map(str, values[:, 0].astype(np.int64).tolist()))
+    kept: list[list[str]] = []
     further, first_cell = array("d"), max(text_places.values(), default=-1) + 1
     for line, cells in read_rows(document, first_line + len(values)) if len(values) else rows:
         where = f"{document.source}: row {line}"
@@ -102,9 +103,11 @@ def read_table(
         lines.append(line)
     if not lines:
         raise document.refuse("rows below the header", "none")
+    columns = zip(*kept, strict=True) if kept else [()] * len(text_places)
+    texts_of = zip(text_places, columns, strict=True)
     return Table(
         source=document.source,
-        texts=dict(zip(text_places, zip(*kept, strict=True), strict=False)),
+        texts={column: numbers_of_rows + tuple(cells) for column, cells in texts_of},
         numbers=_join(values[:, 1:], np.frombuffer(further).reshape(-1, len(number_places))),
         lines=lines,
     )
@@ -125,7 +128,7 @@ def _read_plain(document: Document, first_line: int, width: int) -> "array[float
     """
     found = array("d")
     for block in document.blocks(first_line):
-        rows = block.replace(b"\r\n", b"\n").strip(b"\n").replace(b"\n", b"],[")
+        rows = block.strip().replace(b"\n", b"],[")
         try:
             numbers = _NUMBERS.decode(b"[[" + rows + b"]]")
         except msgspec.MsgspecError:

@@ -28,7 +28,7 @@ from mocap_calib.io.cameras import (
     skew_in_pixels,
 )
 from mocap_calib.io.crash_guard import guard
-from mocap_calib.io.detections import NO_SCORE, blank, make_view
+from mocap_calib.io.detections import blank, make_view
 from mocap_calib.io.document import Document, need
 from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format, Written
@@ -85,8 +85,7 @@ def _view(origin: Origin, label: Any, options: ReadOptions) -> Keypoints2D:
     names = choose_layout(count, options.layout or numbered, source)
     values = blank(len(frames), 1, count, source)
     values[:, 0, :, :2] = positions
-    values[..., 2] = 1.0
-    return make_view(origin, names, frames, values, tracked=True, remarks=(NO_SCORE,))
+    return make_view(origin, names, frames, values, tracked=True)
 
 
 def _frames_and_positions(label: Any, source: str) -> tuple[Ints, Floats]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from mocap_calib import __version__
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.detections import SCORES, SIZES, blank, fill_missing_scores, make_view
+from mocap_calib.io.detections import SCORES, SIZES, make_view
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_EXACT_FLOAT
 from mocap_calib.io.format import Format
@@ -65,14 +65,11 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
             remedy = "give the 2D poses of each camera"
             raise document.refuse("2D positions (x, y)", ", ".join(space), remedy)
         positions = read_variable(file, "position", _OUR_AXES, source)
-        frames, individuals, keypoints = positions.shape[:3]
-        values = blank(frames, individuals, keypoints, source)
-        values[..., :2] = positions
-        values[..., 2] = _read_if_there(file, "confidence", positions, source)
+        scores = _read_if_there(file, "confidence", positions, source)
         labels = _read_labels(file, "keypoint", source)
         numbers = _frame_numbers(file, source)
-    values, remarks = fill_missing_scores(values)
-    return (make_view(document.origin, labels, numbers, values, tracked=True, remarks=remarks),)
+    values = np.concatenate([positions, scores[..., None]], axis=-1)
+    return (make_view(document.origin, labels, numbers, values, tracked=True),)
 
 
 def read_poses(document: Document) -> PoseFile:

@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.detections import blank, fill_missing_scores, make_view
+from mocap_calib.io.detections import blank, make_view
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_EXACT_FLOAT, Origin
 from mocap_calib.io.format import Format, Loss
@@ -86,7 +86,6 @@ def _view(group: Any, origin: Origin) -> Keypoints2D:
     frames, rate = frame_numbers_and_rate(next(iter(series_of.values())), source)
     if len(frames) != len(values):
         raise FormatError(source, f"a time for each of {len(values)} frames", len(frames), _REMEDY)
-    values, remarks = fill_missing_scores(values)
     counted = f"NWB has times, not frame numbers: a frame is the time x {rate:g} per second"
     return make_view(
         origin,
@@ -95,7 +94,7 @@ def _view(group: Any, origin: Origin) -> Keypoints2D:
         values,
         tracked=True,
         image_size=_image_size(group, source),
-        remarks=(counted, *remarks),
+        remarks=(counted,),
     )
 
 

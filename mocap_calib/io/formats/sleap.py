@@ -35,7 +35,6 @@ from mocap_calib.io.detections import (
     GAPS,
     SCORES,
     SIZES,
-    blank,
     find_camera,
     make_view,
     view_of_frames,
@@ -87,34 +86,24 @@ def _values(file: Any, nodes: int, individuals: int, source: str) -> Floats:
     """Return `[frame, track, node, 3]` x, y, score. Raises FormatError."""
     tracks = array(file, "tracks", source)
     scores = array(file, "point_scores", source) if "point_scores" in file else np.zeros(0)
-    occupancy = array(file, "track_occupancy", source) if "track_occupancy" in file else np.zeros(0)
     shape = tracks.shape
 
     def fits(axes: Axes) -> bool:
         _, track, node, coordinate = (shape[axis] for axis in axes)
-        return (node, coordinate) == (nodes, 2) and individuals in (0, track)
+        fits_scores = scores.size == 0 or scores.shape == tuple(np.delete(shape, axes[3]))
+        return (node, coordinate) == (nodes, 2) and individuals in (0, track) and fits_scores
 
     fitting = [axes for axes in _possible_axes(file["tracks"]) if len(shape) == 4 and fits(axes)]
-    if len(fitting) > 1:
-        length = max(occupancy.shape, default=0)
-        fitting = [axes for axes in fitting if shape[axes[0]] == length] or fitting
-    of_scores = {axes: tuple(np.delete(shape, axes[3])) for axes in fitting}
-    if len(fitting) > 1:
-        fitting = [axes for axes in fitting if scores.shape == of_scores[axes]] or fitting
     if len(fitting) != 1:
-        expected = f"`tracks` of shape (tracks, 2, {nodes} nodes, frames)"
-        found = f"{shape}, which fits {len(fitting)} orders of axes"
+        expected = f"`tracks` of shape (tracks, 2, {nodes} nodes, frames), and `point_scores`"
+        found = f"{shape} and {scores.shape}, which fits {len(fitting)} orders of axes"
         raise FormatError(source, expected, found, _REMEDY)
-    (axes,) = fitting
-    frame, track, node, _ = axes
-    values = blank(shape[frame], shape[track], shape[node], source)
-    values[..., :2] = tracks.transpose(axes)
-    if scores.size and scores.shape != of_scores[axes]:
-        expected = f"`point_scores` of shape {of_scores[axes]}"
-        raise FormatError(source, expected, scores.shape, _REMEDY)
+    axes = fitting[0]
+    positions = tracks.transpose(axes).astype(np.float64)
+    third = np.full((*positions.shape[:3], 1), np.nan)
     if scores.size:
-        values[..., 2] = np.expand_dims(scores, axes[3]).transpose(axes)[..., 0]
-    return values
+        third[...] = np.expand_dims(scores, axes[3]).transpose(axes)
+    return np.concatenate([positions, third], axis=-1)
 
 
 def _possible_axes(tracks: Any) -> tuple[Axes, ...]:
