@@ -182,15 +182,6 @@ def test_people_of_another_room_accuse_no_clock(seed):
     assert not [clock for clock in clocks.cameras if clock.differs]
 
 
-def test_the_clock_of_one_camera_leaves_the_others():
-    made, _ = scene_of(3, 1)
-    clocks = clocks_from(made, [CameraClock(made.names[2], "clock", -4)])
-    mended = retime(made, clocks)
-    np.testing.assert_array_equal(mended.frames, clocks.frames)
-    both = np.isin(mended.frames, made.frames)
-    np.testing.assert_array_equal(mended.positions[:2, both], made.positions[:2])
-
-
 @pytest.mark.parametrize("views", [2, 3, 7, 8, 9, 40])
 def test_few_pairs_of_many_cameras_are_compared(views):
     pairs = compared_pairs(views)

@@ -242,23 +242,6 @@ def test_one_item_that_fails_or_kills_its_process_does_not_end_the_others():
 
 
 @posix
-def test_an_interruption_ends_work_that_is_under_way(tmp_path):
-    """After a second; the work, which goes on for minutes, is never done."""
-    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
-    try:
-        with closing(Processes(1)) as workers:
-            signal.setitimer(signal.ITIMER_REAL, 1.0)
-            with pytest.raises(KeyboardInterrupt):
-                next(workers.completed(say_and_sleep, [tmp_path / "one", tmp_path / "two"]))
-    finally:
-        signal.signal(signal.SIGALRM, before)
-    names = [path.name for path in tmp_path.iterdir()]
-    assert names in ([], ["one"])
-    for name in names:
-        assert not psutil.pid_exists(int((tmp_path / name).read_text()))
-
-
-@posix
 def test_a_process_at_work_ends_with_the_one_that_was_killed(tmp_path):
     said = tmp_path / "pid"
     with subprocess.Popen([sys.executable, "-c", AT_WORK, said, *sys.path]) as parent:

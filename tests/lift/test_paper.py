@@ -401,14 +401,6 @@ def test_networks_do_not_look_at_hidden_joints(model):
     same(steer(model, pose, seen, vector), first, rtol=0, atol=0)
 
 
-def test_the_token_model_has_the_papers_shape():
-    torch.manual_seed(0)
-    model = TokenSteerer(TokenConfig(29))
-    assert model.embedding.shape == (30, 32)
-    assert model.embedding.std().item() == pytest.approx(0.5, rel=0.1)
-    assert len(model.encoder.layers) == 5
-
-
 def test_the_translation_is_the_one_with_most_points_in_front():
     """The others may be behind both cameras."""
     vector, t, *rays = two_views(10)

