@@ -22,17 +22,15 @@ def describe_recording(summary: RecordingSummary) -> list[str]:
     unknown = f", not: {', '.join(summary.unknown)}" if summary.unknown else ""
     known = f"the model of {summary.skeleton} knows {summary.known}{unknown}"
     lone = count(summary.lone_detections, "detection")
+    others, single = summary.unknown_cameras, summary.single_camera_joints
+    few = "the model knows too few joints to help: calibrated by geometry alone"
     cases: dict[str, object] = {
         f"left out, nothing detected: {', '.join(summary.left_out)}": summary.left_out,
-        f"left out, not among the cameras: {', '.join(summary.unknown_cameras)}": (
-            summary.unknown_cameras
-        ),
+        f"left out, not among the cameras: {', '.join(others)}": others,
         f"left out, in frames of a single camera: {lone}": summary.lone_detections,
         f"{joints}, {known}": True,
-        "the model knows too few joints to help: calibrated by geometry alone": (
-            summary.too_few_known_joints
-        ),
-        describe_unshared(summary.single_camera_joints): summary.single_camera_joints,
+        few: summary.too_few_known_joints,
+        describe_unshared(single): single,
     }
     return [
         *summary.camera_notes,

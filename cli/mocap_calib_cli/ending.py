@@ -42,7 +42,7 @@ _FOCAL = (
     "focal lengths with a ? are not determined: give --cameras, or record with three cameras or "
     "more from different heights and sides"
 )
-_FAR = "weak perspective: images show none, and distances follow from focal lengths alone"
+_FAR = "weak perspective: images show no perspective, distances follow from focal lengths alone"
 _UNMET = ("axes_unmet", "scale_unmet")
 
 

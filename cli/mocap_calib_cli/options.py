@@ -136,17 +136,25 @@ HELP = split_help(__doc__)[1]
 
 
 def option(
-    flags: str, kind: click.ParamType[Any] | tuple[str, ...] | None = None, **more: Any
+    flags: str,
+    kind: click.ParamType[Any] | tuple[str, ...] | None = None,
+    of: object = None,
+    **more: Any,
 ) -> click.Option:
     """Return an option.
 
     flags: with blanks between them. kind: its type, or the words that it may be; None: a flag.
-    more: as click has it. The help is in the docstring of the command, or in that of this module.
+    of: a record whose field of this name is the default. more: as click has it.
+
+    The help is in the docstring of the command, or in that of this module.
     """
     if kind is None:
         return click.Option(flags.split(), is_flag=True, type=_Flag(), **more)
     kind = Word(kind) if isinstance(kind, tuple) else kind
-    return click.Option(flags.split(), type=kind, **more)
+    found = click.Option(flags.split(), type=kind, **more)
+    if of is not None:
+        found.default = getattr(of, str(found.name))
+    return found
 
 
 def argument(

@@ -6,7 +6,8 @@ rich draws what a terminal shows. It takes 0.03 s to import, and is not where no
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Self
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -104,7 +105,7 @@ def keep_lines(cases: Mapping[str, object]) -> list[str]:
     return [line for line, found in cases.items() if found]
 
 
-class Reporter:
+class Reporter(AbstractContextManager["Reporter"]):
     """Implements `types.Progress`, and writes whatever else there is to say to stderr.
 
     On a terminal, a stage that lasts longer than a second has a bar; elsewhere a stage has a line
@@ -181,10 +182,6 @@ class Reporter:
         if self.bars is not None and self.bar is not None:
             self.bars.update(self.bar, completed=self.done, total=self.done)
         self.stage, self.bar, self.start = "", None, now
-
-    def __enter__(self) -> Self:
-        self.start = time.monotonic()
-        return self
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:

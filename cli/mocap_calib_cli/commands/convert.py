@@ -71,80 +71,61 @@ def command(typed: Typed) -> None:
 
     sources = _find_sources(typed)
     kind = kinds.choose_kind(sources, typed.output, format=typed.format, to=typed.to)
-    own = _options_of(kind, typed)
     target = typed.to or kinds.choose_format(kind, typed.output)
     path = None if typed.output == STDIO else Path(typed.output)
+    own = _options_of(kind, typed)
     if path is not None:
         outputs.check_place(path)
-    convert = {
-        "poses": _convert_poses,
-        "cameras": _convert_cameras,
-        "keypoints": _convert_keypoints,
-    }
-    done = convert[kind](sources, path, target, format=typed.format, **own)
+    done = _convert(kind, sources, path, target, typed.format, own)
     if path is None:
         _write_stdout(done.files, target)
     Reporter(quiet=typed.quiet).say(*done.notes, done.summary, *describe_lost(target, done.lost))
 
 
-# --- the three kinds of files
-
-
-def _convert_poses(
-    sources: "Sources", output: Path | None, target: str, **own: Any
+def _convert(
+    kind: str,
+    sources: "Sources",
+    output: Path | None,
+    target: str,
+    format: str | None,
+    own: dict[str, Any],
 ) -> "Conversion":
-    """Convert 3D poses of one file, or of a file for each individual."""
-    from mocap_calib.io.conversion import convert_poses
+    """Convert files of a kind with its own options.
 
-    paths = sources if isinstance(sources, bytes) else [Path(each) for each in sources]
-    return convert_poses(paths, output, target, **own)
+    Raises click's UsageError for cameras in several files, or of several sizes.
+    """
+    from mocap_calib.io.conversion import convert_cameras, convert_keypoints, convert_poses
 
+    given = sources if isinstance(sources, bytes) else [*map(Path, sources)]
+    names = [] if isinstance(sources, bytes) else [*map(str, sources)]
+    if kind == "poses":
+        return convert_poses(given, output, target, format=format, **own)
+    if kind == "keypoints":
+        from mocap_calib.job.load import find_ignored_files
+        from mocap_calib_cli.describe import describe_ignored_files
+        from mocap_calib_cli.inputs import read_options
 
-def _convert_cameras(
-    sources: "Sources", output: Path | None, target: str, **own: Any
-) -> "Conversion":
-    """Convert the cameras of one input. Raises click's UsageError where there are more."""
-    from mocap_calib.io.conversion import convert_cameras
+        reading = read_options(Typed(own))
+        done = convert_keypoints(sources, output, target, format=format, options=reading)
+        ignored = describe_ignored_files(find_ignored_files(names))
+        return replace(done, notes=(*ignored, *done.notes))
     from mocap_calib.io.hashing import hash_inputs
     from mocap_calib.io.provenance import provenance
 
-    paths = () if isinstance(sources, bytes) else sources
-    if len(paths) > 1:
+    if len(names) > 1:
         raise click.UsageError(
-            f"expected one file or folder of cameras, found {len(paths)}; give the folder"
+            f"expected one file or folder of cameras, found {len(names)}; give the folder"
         )
     sizes = dict(own.pop("image_size"))
-    size_of_all = sizes.pop("", (0, 0))
+    own["image_size"] = sizes.pop("", (0, 0))
     for camera in sizes:
         raise click.UsageError(
             f"--image-size: expected one size for all cameras, found that of {camera}; "
             "say WIDTHxHEIGHT"
         )
-    return convert_cameras(
-        sources if isinstance(sources, bytes) else Path(paths[0]),
-        output,
-        target,
-        image_size=size_of_all,
-        provenance=provenance("convert", inputs=hash_inputs(paths)),
-        **own,
-    )
-
-
-def _convert_keypoints(
-    sources: "Sources", output: Path | None, target: str, **own: Any
-) -> "Conversion":
-    """Convert keypoints; note also which files of the inputs are left out."""
-    from mocap_calib.io.conversion import convert_keypoints
-    from mocap_calib.job.load import find_ignored_files
-    from mocap_calib_cli.describe import describe_ignored_files
-    from mocap_calib_cli.inputs import read_options
-
-    format = own.pop("format")
-    reading = read_options(Typed(own))
-    done = convert_keypoints(sources, output, target, format=format, options=reading)
-    paths = [] if isinstance(sources, bytes) else [str(each) for each in sources]
-    ignored = describe_ignored_files(find_ignored_files(paths))
-    return replace(done, notes=(*ignored, *done.notes))
+    made_from = provenance("convert", inputs=hash_inputs(names))
+    source = given if isinstance(given, bytes) else given[0]
+    return convert_cameras(source, output, target, format=format, provenance=made_from, **own)
 
 
 # --- what was typed

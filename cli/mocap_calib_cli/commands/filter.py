@@ -24,15 +24,11 @@ def _check_parity(_: click.Context, param: click.Parameter, value: int) -> int:
     argument("poses", values.INPUT),
     OUTPUT_FILE,
     option("--to", names.WRITTEN_FORMAT),
-    option("--method", FILTER_METHODS, default=_DEFAULT.method),
-    option("--cutoff", numbers.POSITIVE, default=_DEFAULT.cutoff, metavar="HZ"),
-    option(
-        "--order", numbers.Number(whole=True, min=2), callback=_check_parity, default=_DEFAULT.order
-    ),
-    option(
-        "--window", numbers.COUNT, callback=_check_parity, default=_DEFAULT.window, metavar="FRAMES"
-    ),
-    option("--polynomial", numbers.COUNT, default=_DEFAULT.polynomial),
+    option("--method", FILTER_METHODS, _DEFAULT),
+    option("--cutoff", numbers.POSITIVE, _DEFAULT, metavar="HZ"),
+    option("--order", numbers.Number(whole=True, min=2), _DEFAULT, callback=_check_parity),
+    option("--window", numbers.COUNT, _DEFAULT, callback=_check_parity, metavar="FRAMES"),
+    option("--polynomial", numbers.COUNT, _DEFAULT),
     RATE_OF_POSES,
     "quiet",
 )

@@ -30,31 +30,24 @@ def _read_kind(text: str) -> tuple[str, int]:
 _KIND = values.Written("KIND[:N]", read=_read_kind, offers=lambda: dict.fromkeys(_KINDS, ""))
 
 
-def _option(flags: str, kind: Any, **more: Any) -> click.Option:
-    """Return an option whose default is that of the scene."""
-    found = option(flags, kind, **more)
-    found.default = getattr(_DEFAULT, str(found.name))
-    return found
-
-
 @as_command(
     "simulate",
     OUTPUT_FOLDER,
-    _option("--cameras", numbers.COUNT),
+    option("--cameras", numbers.COUNT, _DEFAULT),
     option("--people", numbers.COUNT),
     option("--kind", _KIND, multiple=True),
-    _option("--frames", numbers.COUNT),
-    _option("--fps", numbers.POSITIVE),
-    _option("--noise noise_px", numbers.NOT_NEGATIVE, metavar="PIXELS"),
-    _option("--missing", numbers.SHARE),
-    _option("--outliers", numbers.SHARE),
-    _option("--false-detections", numbers.SHARE),
-    _option("--distortion", ("none", "brown", "fisheye")),
-    _option("--layout", ("coco17", "all")),
-    _option("--radius", numbers.POSITIVE, metavar="METRES"),
-    _option("--arc arc_deg", numbers.Number(min=0, max=360), metavar="DEGREES"),
+    option("--frames", numbers.COUNT, _DEFAULT),
+    option("--fps", numbers.POSITIVE, _DEFAULT),
+    option("--noise noise_px", numbers.NOT_NEGATIVE, _DEFAULT, metavar="PIXELS"),
+    option("--missing", numbers.SHARE, _DEFAULT),
+    option("--outliers", numbers.SHARE, _DEFAULT),
+    option("--false-detections", numbers.SHARE, _DEFAULT),
+    option("--distortion", ("none", "brown", "fisheye"), _DEFAULT),
+    option("--layout", ("coco17", "all"), _DEFAULT),
+    option("--radius", numbers.POSITIVE, _DEFAULT, metavar="METRES"),
+    option("--arc arc_deg", numbers.Number(min=0, max=360), _DEFAULT, metavar="DEGREES"),
     option("--shuffle/--no-shuffle", default=_DEFAULT.shuffle),
-    _option("--seed", numbers.SEED),
+    option("--seed", numbers.SEED, _DEFAULT),
     "quiet",
 )
 def command(typed: Typed) -> None:

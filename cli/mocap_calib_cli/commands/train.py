@@ -30,17 +30,13 @@ def _check_width(_: click.Context, __: click.Parameter, value: int) -> int:
     return value
 
 
+_WIDTH = numbers.Number(whole=True, min=ENCODER_HEADS)
 _SIZES = (
-    option("--steps", numbers.COUNT, default=_DEFAULT.steps),
-    option("--batch", numbers.COUNT, default=_DEFAULT.batch),
-    option(
-        "--width",
-        numbers.Number(whole=True, min=ENCODER_HEADS),
-        default=_DEFAULT.width,
-        callback=_check_width,
-    ),
-    option("--layers", numbers.COUNT, default=_DEFAULT.layers),
-    option("--learning-rate", numbers.POSITIVE, default=_DEFAULT.learning_rate),
+    option("--steps", numbers.COUNT, _DEFAULT),
+    option("--batch", numbers.COUNT, _DEFAULT),
+    option("--width", _WIDTH, _DEFAULT, callback=_check_width),
+    option("--layers", numbers.COUNT, _DEFAULT),
+    option("--learning-rate", numbers.POSITIVE, _DEFAULT),
 )
 
 

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from mocap_calib_cli.screen import Line, Table
 
 
+_ANGLES = ("turn", "turn_sigma")
+_FIGURES = ("shift", "shift_sigma", "relative_shift", "error_px", "refitted_px")
+
+
 @as_command(
     "verify",
     option("-o --output", values.OUTPUT, metavar="FILE"),
@@ -94,16 +98,9 @@ def _figures(found: "Verification") -> dict[str, Any]:
 
     cameras = []
     for camera in found.cameras:
-        figures = {
-            "turn_deg": np.rad2deg(camera.turn),
-            "turn_sigma_deg": np.rad2deg(camera.turn_sigma),
-            "shift": camera.shift,
-            "shift_sigma": camera.shift_sigma,
-            "relative_shift": camera.relative_shift,
-            "focal_change": np.expm1(camera.focal_change),
-            "error_px": camera.error_px,
-            "refitted_px": camera.refitted_px,
-        }
+        angles = {f"{name}_deg": np.rad2deg(getattr(camera, name)) for name in _ANGLES}
+        figures = angles | {name: getattr(camera, name) for name in _FIGURES}
+        figures["focal_change"] = np.expm1(camera.focal_change)
         known = {key: float(each) if np.isfinite(each) else None for key, each in figures.items()}
         cameras.append({"name": camera.name, "place": camera.word} | known)
     return {
