@@ -12,6 +12,8 @@ import pytest
 from conftest import TOOL
 from platforms import posix
 
+import mocap_calib as mc
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "three_people"
 HEAVY = ("torch", "pycolmap", "scipy", "cv2", "h5py", "numpy", "rich", "yaml")
@@ -163,6 +165,15 @@ def test_no_cameras_says_what_is_needed_where_to_get_it_and_what_is_read(tool):
         assert "film a checkerboard" in said
         assert "Formats: mocap-calib, " in said
         assert " kalibr" in said
+
+
+def test_every_option_has_a_help():
+    """Made of its line in a docstring; a test of the pages holds this one to the commands."""
+    options = re.findall(r"^- `-.*$", (ROOT / "docs" / "cli.md").read_text("utf-8"), re.M)
+    assert len(options) > 80
+    assert [line for line in options if not re.match(r"- `[^`]+`: \w", line)] == []
+    few = mc.Config().view_graph.small_rig
+    assert any(f"pairs of more than {few} cameras" in line for line in options)
 
 
 # --- what the shell offers
