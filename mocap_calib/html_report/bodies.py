@@ -75,11 +75,7 @@ def _choose_steps(points: Floats) -> tuple[Floats, float]:
         return np.zeros(3), 1.0
     low, high = np.percentile(there, (0.5, 99.5), axis=0)
     reach = 2 * float((high - low).max())  # half as wide again on each side
-    with np.errstate(invalid="ignore"):
-        known = np.isfinite(points).all(-1, keepdims=True)
-        number = np.maximum(known.sum(-2, keepdims=True), 1)
-        centre = np.where(known, points, 0.0).sum(-2, keepdims=True) / number
-        size = np.linalg.norm(points - centre, axis=-1)
+    size = np.linalg.norm(points - mean_of_known(points, 2)[..., None, :], axis=-1)
     step = float(np.median(size[np.isfinite(size)])) * _STEP
     return (low + high) / 2, max(step, reach / 65000) or 1.0
 
@@ -135,8 +131,7 @@ def _heights(source: ReportSource, points: Floats) -> dict[str, Any] | None:
     if not (np.isfinite(world.up).all() and np.isfinite(world.floor).all()):
         return None
     height = (points - world.floor) @ world.up
-    highest = np.where(np.isfinite(height), height, -np.inf).max(-1, initial=-np.inf)
-    return pack_floats(_medians(np.where(np.isfinite(highest), highest, np.nan)).T)
+    return pack_floats(_medians(np.fmax.reduce(height, axis=-1, initial=np.nan)).T)
 
 
 def _speeds(source: ReportSource, points: Floats, frames: Ints) -> Floats:
