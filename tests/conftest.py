@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 import torch
-from forked_command import ForkedCommand
+from forked_command import run_forked
 from threadpoolctl import threadpool_limits
 
 import mocap_calib as mc
@@ -57,16 +57,15 @@ def _kept_coverage() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def tool() -> Iterator[Run]:
+def tool() -> Run:
     """Runs the command in a process of its own."""
-    command = ForkedCommand() if hasattr(os, "fork") else None
 
     def run(
         *arguments: object, stdin: str = "", cwd: Path | None = None
     ) -> subprocess.CompletedProcess[str]:
         texts = [str(argument) for argument in arguments]
-        if command:
-            return command.run(texts, stdin=stdin, cwd=cwd)
+        if hasattr(os, "fork"):
+            return run_forked(texts, stdin=stdin, cwd=cwd)
         return subprocess.run(
             [TOOL, *texts],
             input=stdin,
@@ -76,9 +75,7 @@ def tool() -> Iterator[Run]:
             cwd=cwd,
         )
 
-    yield run
-    if command:
-        command.close()
+    return run
 
 
 @pytest.fixture(scope="session")
