@@ -26,7 +26,6 @@ from mocap_calib.io.document import NAMELESS
 from mocap_calib.io.format import ending_of
 from mocap_calib.io.keypoints import format_keypoints, read_keypoints, write_keypoints
 from mocap_calib.io.kinds import OWN_POSES, Sources
-from mocap_calib.io.pose_axes import turn_up_axis
 from mocap_calib.io.pose_files import (
     POSE_FORMATS,
     format_poses,
@@ -34,7 +33,7 @@ from mocap_calib.io.pose_files import (
     load_poses,
     write_poses,
 )
-from mocap_calib.io.poses import PoseFile, convert_unit
+from mocap_calib.io.poses import PoseFile, convert_unit, turn_up_axis
 from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.io.units import ARBITRARY, unit_factor
 from mocap_calib.recording.names import check_pixels

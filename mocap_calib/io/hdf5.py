@@ -1,5 +1,6 @@
 """What the HDF5 readers share: text, arrays that fit into memory, and damage said in one line."""
 
+import io
 import struct
 import zipfile
 import zlib
@@ -173,6 +174,13 @@ def most_unpacked(stored: int) -> int:
     return max(_MOST_UNPACKED * stored + _SMALL, min(DEFLATE * stored, _MOST_EMPTY))
 
 
+def check_archive(content: bytes, source: str) -> None:
+    """Raise FormatError for a zip archive whose parts unpack to far more than they take in it."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        for part in archive.infolist():
+            _check_unpacked(part.filename, part.compress_size, part.file_size, source)
+
+
 def _check_size(dataset: Any, source: str) -> None:
     """Raise FormatError for a dataset that unpacks to far more than it has in the file.
 
@@ -181,11 +189,18 @@ def _check_size(dataset: Any, source: str) -> None:
     entries = dataset.size or 0
     claimed = entries * dataset.dtype.itemsize
     stored = dataset.id.get_storage_size()
+    if entries > 4 * MOST_POINTS:
+        claimed = max(claimed, most_unpacked(stored) + 1)
+    _check_unpacked(dataset.name, stored, claimed, source)
+
+
+def _check_unpacked(name: str, stored: int, claimed: int, source: str) -> None:
+    """Raise FormatError where so many bytes unpack to far more."""
     most = most_unpacked(stored)
-    if claimed > most or entries > 4 * MOST_POINTS:
+    if claimed > most:
         raise FormatError(
             source,
-            f"at most {most / 1e6:.0f} MB of `{dataset.name}` in the {stored / 1e6:.1f} MB stored",
+            f"at most {most / 1e6:.0f} MB of `{name}` in the {stored / 1e6:.1f} MB stored",
             f"{claimed / 1e6:.0f} MB",
             "the file is damaged, or nearly all of it is missing points: "
             "export it with fewer tracks",

@@ -21,15 +21,13 @@ from mocap_calib.io.formats import (
     bvh,
     c3d_file,
     movement,
-    npz,
     nwb,
     own_poses,
     rerun_file,
     sleap_anipose,
     trc,
 )
-from mocap_calib.io.pose_axes import turn_upright
-from mocap_calib.io.poses import UNNAMED, PoseFile, check_poses
+from mocap_calib.io.poses import UNNAMED, PoseFile, check_poses, turn_upright
 from mocap_calib.io.units import ARBITRARY, refuse_unit
 from mocap_calib.results import Poses3D
 from mocap_calib.types import Ints, Reals
@@ -46,7 +44,7 @@ POSE_FORMATS = FormatTable(
         movement.POSES,
         sleap_anipose.POSES,
         nwb.POSES,
-        npz.POSES,
+        own_poses.ARCHIVE,
         bvh.POSES,
         blender.POSES,
         rerun_file.POSES,

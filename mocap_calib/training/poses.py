@@ -18,8 +18,7 @@ from mocap_calib.errors import DegenerateError, FormatError, MismatchError, argu
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.io.camera_files import read_rig
-from mocap_calib.io.formats.npz import check_sizes
-from mocap_calib.io.hdf5 import damage_refused
+from mocap_calib.io.hdf5 import check_archive, damage_refused
 from mocap_calib.io.pose_files import read_poses
 from mocap_calib.recording.joints import load_section, load_skeleton, match_names, parse_skeleton
 from mocap_calib.results import Poses3D
@@ -101,7 +100,7 @@ def _read(path: Path) -> dict[str, NDArray[Any]]:
     wanted = "an npz file of 3D poses, or a folder with poses3d.npz and joints.json"
     with damage_refused(str(path), wanted):
         content = file_path.read_bytes()
-        check_sizes(content, str(path))
+        check_archive(content, str(path))
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             fields = {
                 _OTHER_NAMES.get(name, name): file[name] for name in file.files if name in _ARRAYS

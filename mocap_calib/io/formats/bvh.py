@@ -20,7 +20,6 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import mean_of_known, nearest_rotation
 from mocap_calib.io.format import Format, Loss
-from mocap_calib.io.pose_axes import turn_between
 from mocap_calib.io.poses import (
     INDIVIDUALS,
     QUALITY,
@@ -30,6 +29,7 @@ from mocap_calib.io.poses import (
     known_edges,
     need_keypoints,
     need_rate,
+    turn_between,
 )
 from mocap_calib.kinematics import bone_lengths
 from mocap_calib.recording.joints import choose_skeleton, match_names

@@ -19,7 +19,6 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
 from mocap_calib.io.hdf5 import damage_refused
-from mocap_calib.io.pose_axes import up_axis
 from mocap_calib.io.poses import (
     QUALITY,
     PoseFile,
@@ -29,6 +28,7 @@ from mocap_calib.io.poses import (
     mark_missing,
     need_keypoints,
     need_rate,
+    up_axis,
 )
 from mocap_calib.io.units import known_unit
 

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.io.format import Format
-from mocap_calib.io.pose_axes import up_axis
 from mocap_calib.io.poses import (
     LENSES,
     QUALITY,
     UNIT,
     PoseFile,
     known_edges,
+    up_axis,
 )
 
 _UP = {  # axis that points up -> rerun's name for a right-handed frame of reference

@@ -37,9 +37,6 @@ def _has_tracks(file: h5py.File) -> bool:
     return len(shape) == 4 and shape[-1] == 3
 
 
-# --- reading
-
-
 def read(document: Document) -> PoseFile:
     """Read the tracks as individuals; nodes without names are numbered. Raises FormatError."""
     source = document.source
@@ -57,9 +54,6 @@ def read(document: Document) -> PoseFile:
         poses = bare_poses(keypoints, frames, positions, unit=unit)
         individuals = names_if_there(file, "track_names", source)
         return PoseFile(poses, float(file.attrs.get("fps", np.nan)), individuals, notes)
-
-
-# --- writing
 
 
 def write(file: PoseFile, title: str) -> bytes:
