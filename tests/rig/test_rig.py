@@ -519,6 +519,8 @@ def test_the_misfit_is_the_noise(noise):
     seen, rig = telescopes(noise)
     fit = measure_fit(seen, rig, label_single_subject(seen), Config())
     assert fit.misfit == pytest.approx(noise, rel=0.15)
+    # a quarter of normal errors is below 0.47 of the median along a line, and 0.64 in a plane
+    assert ((fit.good_angle > 0.47 * fit.angle) & (fit.good_angle < 0.65 * fit.angle)).all()
 
 
 def test_a_single_subject_of_unknown_joints_is_calibrated_by_geometry_alone():
