@@ -61,12 +61,3 @@ def test_a_terminal_holds_all_of_a_long_name_and_the_verdict_in_colour(
     assert sum(line.startswith("cam") for line in table) == 3  # and the header
     verdict = next(line for line in lines if "calibration: " in line)
     assert ("\x1b[1;32m" in verdict) == (not environment)
-
-
-@posix
-def test_a_bar_shows_a_stage_that_takes_long(small, tmp_path):
-    cameras = ("--cameras", small / "intrinsics.toml")
-    words = ("run", small / "keypoints", *cameras, "-o", tmp_path / "out", "--no-report")
-    said = "\n".join(shown(*words, width=120))
-    assert "rig " in said
-    assert ": done in" not in said  # which is for files and pipes

@@ -246,22 +246,6 @@ def test_paths_are_offered_where_paths_are_expected(line, tool, monkeypatch):
     assert offered(tool, monkeypatch, f"{line} ") == FILES
 
 
-def test_bash_gets_formats_without_torch():
-    """Measured 0.5 s of a processor for the formats of all kinds."""
-    asked = {"COMP_WORDS": "mocap-calib convert a b --to sl", "COMP_CWORD": "5"}
-    done = subprocess.run(
-        [sys.executable, "-X", "importtime", TOOL],
-        env={**os.environ, **asked, "_MOCAP_CALIB_COMPLETE": "bash_complete"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.stdout.split() == ["plain,sleap-anipose", "plain,sleap"]
-    found = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert "mocap_calib.io.kinds" in found
-    assert not found & {"torch", "cv2", "scipy", "rich"}
-
-
 # --- text on every system
 
 

@@ -23,15 +23,6 @@ def follow(table: np.ndarray, price: float) -> np.ndarray:
     return np.array(path[::-1])
 
 
-def add_windows(values, row, first, table) -> None:
-    """Add windows of rows of agreement to a table `[stretch, time, offset]`."""
-    for stretch, time in np.argwhere(row >= 0):
-        for offset in range(table.shape[2]):
-            frame = first[time] + offset
-            if 0 <= frame < values.shape[2]:
-                table[stretch, time, offset] += values[stretch, row[stretch, time], frame]
-
-
 def sum_on_diagonals(values, rate: float, rows, blocks: int, window: int):
     """Return sums `[hypothesis, stretch, block, offset]` of known values, and their numbers."""
     each = len(rows) // blocks

@@ -345,7 +345,6 @@ def test_a_rig_that_did_not_converge_is_open():
 law = settings(max_examples=3, deadline=None, derandomize=True)
 SEEDS = st.integers(0, 2**32 - 1)
 SMALL = {"frames": 12}
-FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # of xx, xy, xz, yy, yz, zz
 ALL = ("views", "instances", "names", "time", "mirror", "world")
 
 # --- triangulation and identities
