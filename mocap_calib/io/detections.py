@@ -89,15 +89,6 @@ def frame_number(name: str) -> int:
     return number if number < LARGEST_FRAME else -1
 
 
-def frames_of(document: Document) -> tuple[list[str], list[int]]:
-    """Return the names and numbers of the frames in a folder with a file per frame.
-
-    Raises FormatError.
-    """
-    names = [path.name for path in document.members or (document.path,)]
-    return names, frame_numbers(names, document.source)
-
-
 def frame_numbers(names: Sequence[str], source: str) -> list[int]:
     """Return the integer at the end of each name, before its suffix and `_keypoints`.
 
@@ -272,7 +263,7 @@ def check_size(frames: int, instances: int, keypoints: int, source: str) -> None
 def view_of_frames(
     document: Document,
     options: ReadOptions,
-    frames: Sequence[int] | Ints,
+    frames: Sequence[str] | Sequence[int] | Ints,
     detections: Sequence[Sequence[Any]],
     *,
     names: Sequence[str] = (),
@@ -281,7 +272,7 @@ def view_of_frames(
 ) -> Keypoints2D:
     """Return the camera of detections, which are individuals or in any order.
 
-    frames: `[frame]` numbers.
+    frames: `[frame]` numbers, or names of files or images that end in them.
     detections: of each frame, each `[keypoint, 3]` x, y and score, or empty for one without a
         point.
     names: `[keypoint]`, where the file has them; else those of a layout, of the options or one of
@@ -291,6 +282,9 @@ def view_of_frames(
     Raises FormatError where there is no point, or a detection has another number of keypoints.
     """
     source = document.source
+    labels = [frame for frame in frames if isinstance(frame, str)]
+    if labels:
+        further = {"row_name": labels.__getitem__} | further
     if not names:
         count = max((len(points) for found in detections for points in found), default=0)
         if count == 0:
@@ -306,7 +300,8 @@ def view_of_frames(
                 raise document.refuse(expected, f"{len(points)} in one", remedy)
             if len(points):
                 target[:] = points
-    return make_view(document.origin, names, frames, values, **further)
+    numbers = frame_numbers(labels, source) if labels else np.asarray(frames, dtype=np.int64)
+    return make_view(document.origin, names, numbers, values, **further)
 
 
 # --- what a format may have no place for

@@ -30,7 +30,6 @@ from mocap_calib.io.detections import (
     SCORES,
     cameras_by_pattern,
     frame_number,
-    frame_numbers,
     is_list_of,
     triples,
     view_of_frames,
@@ -373,10 +372,9 @@ def read_results(
         view_of_frames(
             replace(document, camera=camera),
             options,
-            frame_numbers([_frame_text(image, pattern) for image in by_image], document.source),
+            [_frame_text(image, pattern) for image in by_image],
             list(by_image.values()),
             unambiguous=unambiguous,
-            row_name=list(by_image).__getitem__,
             remarks=(ABSENT_FRAMES,),
         )
         for camera, by_image in detections_of.items()

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from mocap_calib.io.detections import frames_of, is_list_of, view_of_frames
+from mocap_calib.io.detections import is_list_of, view_of_frames
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.format import Format
@@ -53,17 +53,12 @@ def sniff_video(document: Document) -> bool:
 
 def read_images(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera, whose files are its frames. Raises FormatError."""
-    names, numbers = frames_of(document)
-    detections = [_points(each.records(list[_Instance]), each) for each in document.documents()]
-    view = view_of_frames(
-        document,
-        options,
-        numbers,
-        detections,
-        unambiguous=_LAYOUTS,
-        row_name=names.__getitem__,
-    )
-    return (view,)
+    frames = {
+        each.path.name: _points(each.records(list[_Instance]), each)
+        for each in document.documents()
+    }
+    found = list(frames.values())
+    return (view_of_frames(document, options, list(frames), found, unambiguous=_LAYOUTS),)
 
 
 def read_video(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:

@@ -17,7 +17,6 @@ from mocap_calib.io.detections import (
     NAMES,
     SCORES,
     SIZES,
-    frame_numbers,
     triples,
     view_of_frames,
 )
@@ -66,16 +65,8 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     else:
         by_image = document.records(dict[str, _Frame])
         frames = {image: (frame, document) for image, frame in by_image.items()}
-    names = list(frames)
-    view = view_of_frames(
-        document,
-        options,
-        frame_numbers(names, document.source),
-        [_people(*frame) for frame in frames.values()],
-        unambiguous=_LAYOUTS,
-        row_name=names.__getitem__,
-    )
-    return (view,)
+    people = [_people(*frame) for frame in frames.values()]
+    return (view_of_frames(document, options, list(frames), people, unambiguous=_LAYOUTS),)
 
 
 def _people(frame: _Frame, document: Document) -> list[Floats]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mocap_calib.config import LARGEST_SHARE
 from mocap_calib.errors import FormatError, argument
-from mocap_calib.io.detections import frames_of, view_of_frames
+from mocap_calib.io.detections import view_of_frames
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
 from mocap_calib.io.read_options import ReadOptions, layout_remedy
@@ -47,18 +47,16 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         counts = [(numbers - behind) / width for width in _WIDTHS for behind in _BEHIND]
         found = f"{numbers} numbers after the box"
         raise document.refuse("the names of its keypoints", found, layout_remedy(counts))
-    file_names, frames = frames_of(document)
-    rows = [list(_rows(each)) for each in document.documents()]
-    widths = [_widths(len(numbers), count) for of_file in rows for _, numbers in of_file]
+    rows = {each.path.name: list(_rows(each)) for each in document.documents()}
+    widths = [_widths(len(numbers), count) for of_file in rows.values() for _, numbers in of_file]
     width = 2 if sum(2 in each for each in widths) > sum(3 in each for each in widths) else 3
     view = view_of_frames(
         document,
         options,
-        frames,
-        [[_points(*row, count, width, size) for row in of_file] for of_file in rows],
+        list(rows),
+        [[_points(*row, count, width, size) for row in of_file] for of_file in rows.values()],
         names=options.layout,
         image_size=size,
-        row_name=file_names.__getitem__,
     )
     return (view,)
 
