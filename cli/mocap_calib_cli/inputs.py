@@ -43,7 +43,8 @@ from mocap_calib.types import ARBITRARY, CameraRig, Ints, Recording
 from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.names import WORLD
 from mocap_calib_cli.option_files import is_list
-from mocap_calib_cli.options import KEYPOINTS, SCALE, SHARED, STDIO
+from mocap_calib_cli.options import KEYPOINTS, SCALE, SHARED
+from mocap_calib_cli.outputs import STDIO
 from mocap_calib_cli.screen import Reporter
 from mocap_calib_cli.typed import Texts, Typed, refused_as_usage
 

@@ -29,7 +29,6 @@ models: List the networks that are shipped.
 train: Train the network that lifts 2D poses.
 """
 
-import errno
 import io
 import os
 import sys
@@ -39,7 +38,7 @@ import click
 
 from mocap_calib import __version__
 from mocap_calib.compute import BLAS_THREADS
-from mocap_calib.errors import MocapCalibError, quote_for_shell, spell_as_option, suggest
+from mocap_calib.errors import MocapCalibError, suggest
 from mocap_calib_cli.commands import (
     batch,
     complete,
@@ -61,6 +60,7 @@ from mocap_calib_cli.commands import (
     verify,
 )
 from mocap_calib_cli.docstrings import split_help
+from mocap_calib_cli.typed import explain
 
 _COMMANDS = (
     *(run.command, batch.command, inspect.command, stages.pairwise, stages.average, stages.match),
@@ -68,11 +68,6 @@ _COMMANDS = (
     *(convert.command, kinematics.command, complete.command, overlay.command, report.command),
     *(verify.command, evaluate.command, example.command, simulate.command, doctor.command),
     *(models.command, train.command),
-)
-# errors of the system that a user can correct
-_OF_FILES = (
-    *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EISDIR, errno.ENOTDIR),
-    *(errno.EEXIST, errno.ENOSPC, errno.EDQUOT),
 )
 
 
@@ -172,26 +167,3 @@ def _complain(message: str, status: int) -> int:
     """Write a message to stderr, and return the status."""
     click.echo(f"mocap-calib: {message}", err=True)
     return status
-
-
-def explain(error: Exception, command: click.Command | None = None) -> str | None:
-    """Return the line for a user's mistake; None for one of the program, which gets a traceback.
-
-    command: whose parameters the arguments in the line are, by their names.
-    """
-    options = {} if command is None else {each.name: each.opts[-1] for each in command.params}
-
-    def spell(name: str, value: str) -> str:
-        if name not in options:
-            return spell_as_option(name, value)
-        return f"{options[name]} {quote_for_shell(value)}".rstrip()
-
-    if isinstance(error, MocapCalibError):
-        return error.render(spell)
-    if isinstance(error, OSError) and error.errno in _OF_FILES:
-        found = str(error.strerror).lower()
-        return (
-            f"{error.filename or 'a file'}: expected a path this program can use, found {found}; "
-            "check the path, its permissions and the disk, or choose another"
-        )
-    return None

@@ -24,7 +24,8 @@ import click
 
 from mocap_calib.errors import FormatError, MismatchError, suggest
 from mocap_calib_cli import values
-from mocap_calib_cli.options import STDIO, option
+from mocap_calib_cli.options import option
+from mocap_calib_cli.outputs import STDIO
 from mocap_calib_cli.typed import Texts
 
 USUAL_NAME = "recording.yaml"

@@ -88,8 +88,7 @@ from mocap_calib.config import (
 )
 from mocap_calib_cli import names, numbers, values
 from mocap_calib_cli.docstrings import split_help
-
-STDIO = "-"
+from mocap_calib_cli.outputs import STDIO
 
 # how keypoint files are to be read where they do not say it themselves, and what is wrong there
 READING = (

@@ -11,16 +11,18 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import write_pieces
-from mocap_calib_cli.options import STDIO
 
 if TYPE_CHECKING:
     from mocap_calib.results import Poses3D
     from mocap_calib.types import Recording
 
+STDIO = "-"
+
 
 def write_text(output: Path, pieces: Iterable[bytes]) -> None:
     """Write text that comes in pieces of UTF-8 to stdout or to a file."""
+    from mocap_calib.io.atomic import write_pieces
+
     if str(output) != STDIO:
         write_pieces(output, pieces)
         return

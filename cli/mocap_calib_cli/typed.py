@@ -5,6 +5,7 @@ these parameters in this order: names of shared options, or parameters that are 
 docstring of the function is the help, also of single options: its lines `name: help`.
 """
 
+import errno
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from mocap_calib.errors import MismatchError, spell_as_option
+from mocap_calib.errors import MismatchError, MocapCalibError, quote_for_shell, spell_as_option
 from mocap_calib_cli.docstrings import split_help
 from mocap_calib_cli.options import HELP, SHARED
 from mocap_calib_cli.values import Output
@@ -50,6 +51,13 @@ class Typed:
 
 
 Run = Callable[[Typed], int | None]
+
+
+# errors of the system that a user can correct
+_OF_FILES = (
+    *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EISDIR, errno.ENOTDIR),
+    *(errno.EEXIST, errno.ENOSPC, errno.EDQUOT),
+)
 
 
 @contextmanager
@@ -118,3 +126,29 @@ def as_command(name: str, *params: str | click.Parameter) -> Callable[[Run], Com
         return command
 
     return make
+
+
+# --- errors that a user can correct
+
+
+def explain(error: Exception, command: click.Command | None = None) -> str | None:
+    """Return the line for a user's mistake; None for one of the program, which gets a traceback.
+
+    command: whose parameters the arguments in the line are, by their names.
+    """
+    options = {} if command is None else {each.name: each.opts[-1] for each in command.params}
+
+    def spell(name: str, value: str) -> str:
+        if name not in options:
+            return spell_as_option(name, value)
+        return f"{options[name]} {quote_for_shell(value)}".rstrip()
+
+    if isinstance(error, MocapCalibError):
+        return error.render(spell)
+    if isinstance(error, OSError) and error.errno in _OF_FILES:
+        found = str(error.strerror).lower()
+        return (
+            f"{error.filename or 'a file'}: expected a path this program can use, found {found}; "
+            "check the path, its permissions and the disk, or choose another"
+        )
+    return None

@@ -15,6 +15,7 @@ import click
 
 from mocap_calib.config import CueKind, ScaleCue
 from mocap_calib.errors import one_line
+from mocap_calib_cli.outputs import STDIO, check_file, check_folder
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -122,9 +123,7 @@ class Output(click.Path):
 
     def check(self, path: Path | None) -> None:
         """Raise MismatchError or OSError where it could not be written; stdout can, and none."""
-        from mocap_calib_cli.outputs import check_file, check_folder
-
-        if path is not None and str(path) != "-":
+        if path is not None and str(path) != STDIO:
             (check_folder if self.folder else check_file)(path)
 
 

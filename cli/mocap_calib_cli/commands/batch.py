@@ -11,7 +11,7 @@ import click
 
 from mocap_calib_cli import numbers, option_files, options, values
 from mocap_calib_cli.commands.run import command as run
-from mocap_calib_cli.typed import Texts, Typed, as_command
+from mocap_calib_cli.typed import Texts, Typed, as_command, explain
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
@@ -225,7 +225,6 @@ class _Batch:
         An error of the program also keeps its traceback; neither stops the other recordings.
         """
         from mocap_calib.errors import MocapCalibError
-        from mocap_calib_cli.main import explain
 
         line = explain(error)
         if line is None:

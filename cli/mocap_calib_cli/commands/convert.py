@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mocap_calib_cli import names, options, values
-from mocap_calib_cli.options import RATE_OF_POSES, STDIO, argument, option
+from mocap_calib_cli.options import RATE_OF_POSES, argument, option
+from mocap_calib_cli.outputs import STDIO
 from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:

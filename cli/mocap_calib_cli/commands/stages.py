@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mocap_calib_cli import options, values
-from mocap_calib_cli.options import OUTPUT_FILE, OUTPUT_TEXT, STDIO, argument, option
+from mocap_calib_cli.options import OUTPUT_FILE, OUTPUT_TEXT, argument, option
+from mocap_calib_cli.outputs import STDIO
 from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
