@@ -231,15 +231,6 @@ def test_make_ends_in_a_line_before_it_downloads_cuda(monkeypatch):
     )
 
 
-def test_pip_is_not_asked_where_torch_is_there_or_no_copy_of_packaging(monkeypatch):
-    monkeypatch.delattr(subprocess, "run")
-    load_script(CHECK).main()
-    monkeypatch.setitem(sys.modules, "pip._vendor.packaging.requirements", None)
-    check = load_script(CHECK)
-    monkeypatch.setattr(check.importlib.util, "find_spec", lambda _: None)
-    check.main()
-
-
 def test_make_checks_torch_before_it_installs():
     recipe = (ROOT / "Makefile").read_text("utf-8").partition(".venv/installed: ")[2]
     assert recipe.index(".ci/check_torch.py") < recipe.index("$(INSTALL) -e .")
