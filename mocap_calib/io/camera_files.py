@@ -26,7 +26,6 @@ from mocap_calib.io.formats import (
     colmap,
     dannce,
     json_rigs,
-    nerfstudio,
     opencv,
     openmvg,
     own_cameras,
@@ -56,7 +55,7 @@ CAMERA_FORMATS = FormatTable(
         json_rigs.PANOPTIC,
         json_rigs.VOXELPOSE,
         json_rigs.FOUR_D_ASSOCIATION,
-        nerfstudio.FORMAT,
+        json_rigs.NERFSTUDIO,
         openmvg.FORMAT,
         json_rigs.MULTIVIEW_CALIB,
         dannce.CAMERAS,
@@ -214,9 +213,9 @@ def _complete(found: CameraFile, form: Format, document: Document, unit: str | N
     cameras = (replace(each, name=camera_name(each.name, source)) for each in found.cameras)
     extrinsics = {compose_name(name): placed for name, placed in found.extrinsics.items()}
     stated = known_unit(found.unit, source)
-    if unit is not None and found.unit.strip().lower() == ARBITRARY:
+    if unit and found.unit.strip().lower() == ARBITRARY:
         raise refuse_unit(source, unit)
-    if unit is not None and stated not in (ARBITRARY, unit):
+    if unit and stated not in (ARBITRARY, unit):
         expected = f"lengths in {stated}, as the file says"
         raise MismatchError(source, expected, argument("input_unit", unit), "leave it out")
     comments = (_read_comments(each.content) for each in document.documents())

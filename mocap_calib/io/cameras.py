@@ -66,7 +66,7 @@ class RawCamera:
 
     Numbers are nested lists, or a mapping of `rows`, `cols` and `data` as OpenCV and ROS write it.
 
-    matrix: 3 x 3 numbers, row after row. distortion: in OpenCV's order.
+    matrix: 3 x 3 numbers, row after row, or fx, fy, cx and cy. distortion: in OpenCV's order.
     size: (width, height) in pixels, None or (None, None) where it is not known.
     rotation: 3 x 3 numbers, or a vector of 3, of cam_from_world. translation: 3 numbers; or centre:
         3 numbers in world coordinates. There are no extrinsics where rotation, or both of these,
@@ -88,7 +88,11 @@ class RawCamera:
         """Return the camera, and its extrinsics where it has some. Raises FormatError."""
         where = f"{source}: camera {self.name}"
         size = _check_size(self.size, where)
-        matrix = numbers(self.matrix, "a 3 x 3 camera matrix", where, 9).reshape(3, 3)
+        given = numbers(self.matrix, "a 3 x 3 camera matrix", where, 4, 9).ravel()
+        if len(given) == 4:
+            fx, fy, cx, cy = given
+            given = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])
+        matrix = given.reshape(3, 3)
         camera = Camera(
             name=str(self.name),
             size=size,
@@ -96,12 +100,12 @@ class RawCamera:
             distortion=_check_distortion(self.distortion, self.fisheye, where),
             fisheye=self.fisheye,
         )
-        given = self.translation if self.centre is None else self.centre
-        if self.rotation is None or given is None:
+        place = self.translation if self.centre is None else self.centre
+        if self.rotation is None or place is None:
             return camera, None
         rotation = _check_rotation(self.rotation, where)
         rotation = rotation.T if self.by_columns else rotation
-        offset = numbers(given, "a translation of 3 numbers", where, 3).ravel()
+        offset = numbers(place, "a translation of 3 numbers", where, 3).ravel()
         return camera, (rotation, offset if self.centre is None else -rotation @ offset)
 
 
@@ -149,11 +153,6 @@ def pick(fields: Mapping[str, Any], **keys: str | tuple[str, ...]) -> dict[str, 
         there = [key for key in (known if isinstance(known, tuple) else (known,)) if key in fields]
         found[name] = fields[there[0]] if there else None
     return found
-
-
-def pinhole_matrix(fx: Any, fy: Any, cx: Any, cy: Any) -> list[list[Any]]:
-    """Return the `[3, 3]` camera matrix of these numbers, as nested lists."""
-    return [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
 
 
 def camera_of_image(name: str) -> str:

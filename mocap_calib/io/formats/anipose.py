@@ -45,25 +45,16 @@ _CAMERA_NAMES = (
 )
 
 
-def sniff_caliscope(document: Document) -> bool:
-    """Return whether cameras are one level down, by number."""
-    if not document.has("toml", ["cameras"]):
-        return False
-    return any("cam_id" in fields for _, fields in _tables(document.tree["cameras"]))
-
-
-def sniff_freemocap(document: Document) -> bool:
-    """Return whether the file states the positions of the cameras twice."""
-    if document.syntax != "toml":
-        return False
-    return any("world_position" in fields for _, fields in _tables(document.tree))
+def _has_section(document: Document, key: str, below: str = "") -> bool:
+    """Return whether any section of TOML, or of its section `below`, has the key."""
+    tree = document.tree if document.syntax == "toml" else {}
+    return any(key in fields for _, fields in _tables(tree.get(below) if below else tree))
 
 
 def sniff_pose2sim(document: Document) -> bool:
     """Return whether sections are named as their cameras, and sizes are no integers to TOML."""
-    if document.syntax != "toml":
-        return False
-    cameras = [(name, fields) for name, fields in _tables(document.tree) if "matrix" in fields]
+    tree = document.tree if document.syntax == "toml" else {}
+    cameras = [(name, fields) for name, fields in _tables(tree) if "matrix" in fields]
     return bool(cameras) and all(_is_pose2sim_camera(name, fields) for name, fields in cameras)
 
 
@@ -141,7 +132,7 @@ def format_calibration_toml(rig: CameraRig, provenance: Mapping[str, Any]) -> st
     """Return the file of anipose; rotations are Rodrigues vectors, lengths in the rig's unit."""
     digits = len(str(len(rig.cameras) - 1))  # aniposelib sorts the sections as text
     sections = {
-        f"cam_{view:0{digits}}": _fields(camera) | _fisheye(camera)
+        f"cam_{view:0{digits}}": _fields(camera) | {"fisheye": camera.fisheye or None}
         for view, camera in enumerate(rig)
     }
     estimated = {
@@ -157,7 +148,7 @@ def format_intrinsics_toml(cameras: tuple[Camera, ...]) -> str:
     """Return the file of anipose without the keys of the extrinsics."""
     return _dump_toml(
         {
-            f"cam_{view}": _intrinsics(camera) | _fisheye(camera)
+            f"cam_{view}": _intrinsics(camera) | {"fisheye": camera.fisheye or None}
             for view, camera in enumerate(cameras)
         }
     )
@@ -232,10 +223,6 @@ def _fields(camera: PosedCamera) -> dict[str, Any]:
     return _intrinsics(camera) | {"rotation": rotation, "translation": camera.translation}
 
 
-def _fisheye(camera: Camera) -> dict[str, bool]:
-    return {"fisheye": True} if camera.fisheye else {}
-
-
 def _format(
     sections: Mapping[str, Any],
     rig: CameraRig,
@@ -282,7 +269,7 @@ def _without_none(value: Any) -> Any:
 CALISCOPE = Format(
     name="caliscope",
     title="caliscope camera_array.toml",
-    sniff=sniff_caliscope,
+    sniff=partial(_has_section, key="cam_id", below="cameras"),
     read=read,
     write=write_caliscope,
     unit="m",
@@ -290,7 +277,7 @@ CALISCOPE = Format(
 FREEMOCAP = Format(
     name="freemocap",
     title="FreeMoCap calibration.toml",
-    sniff=sniff_freemocap,
+    sniff=partial(_has_section, key="world_position"),
     read=read,
     write=write_freemocap,
     unit="mm",

@@ -28,7 +28,6 @@ from mocap_calib.io.cameras import (
     check_rig,
     collect_cameras,
     lens_terms,
-    pinhole_matrix,
     pinhole_terms,
 )
 from mocap_calib.io.crash_guard import guard
@@ -175,7 +174,7 @@ def _lens(camera: "pycolmap.Camera", source: str) -> RawCamera:
     return RawCamera(
         name=str(camera.camera_id),
         size=[camera.width, camera.height],
-        matrix=pinhole_matrix(focal[0], focal[-1], *middle),
+        matrix=[focal[0], focal[-1], *middle],
         distortion=params[camera.extra_params_idxs()],  # in OpenCV's order, as many as there are
         fisheye="FISHEYE" in name,
     )

@@ -34,7 +34,6 @@ from mocap_calib.io.cameras import (
     lens_terms,
     numbers,
     pick,
-    pinhole_matrix,
 )
 from mocap_calib.io.document import Document, describe_names, need, typed
 from mocap_calib.io.format import Format, Written
@@ -262,7 +261,7 @@ def read_kalibr(document: Document) -> CameraFile:
             RawCamera(
                 name=name,
                 size=camera.resolution,
-                matrix=pinhole_matrix(*camera.intrinsics),
+                matrix=camera.intrinsics,
                 distortion=camera.distortion_coeffs,
                 fisheye=camera.distortion_model == "equidistant",
                 rotation=None if from_world is None else from_world[:3, :3],

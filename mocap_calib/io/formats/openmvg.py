@@ -26,7 +26,6 @@ from mocap_calib.io.cameras import (
     collect_cameras,
     lens_terms,
     numbers,
-    pinhole_matrix,
     to_json,
 )
 from mocap_calib.io.document import Document, need, typed
@@ -129,7 +128,7 @@ def _read_intrinsics(model: str, fields: Mapping[str, Any], where: str) -> dict[
     middle = numbers(fields["principal_point"], "two numbers principal_point", where, 2)
     return {
         "size": [fields["width"], fields["height"]],
-        "matrix": pinhole_matrix(focal, focal, *middle),
+        "matrix": [focal, focal, *middle],
         "distortion": np.append(lens, 0.0)[order],
         "fisheye": model == "fisheye",
     }
