@@ -87,12 +87,9 @@ def check_no_other_files(path: Path, names: Collection[str], suffixes: Collectio
         hidden = any(part.startswith(".") for part in inside.parts)
         is_read = file.suffix.lower() in suffixes and file.is_file()
         if is_read and not hidden and compose_name(inside.as_posix()) not in own:
-            raise MismatchError(
-                path,
-                "a new folder or one with the same files",
-                inside.as_posix(),
-                "choose another or remove that file",
-            )
+            expected = "a new folder or one with the same files"
+            remedy = "choose another or remove that file"
+            raise MismatchError(path, expected, inside.as_posix(), remedy)
 
 
 def numbered_file(path: Path, individual: int) -> Path:
@@ -117,12 +114,8 @@ def check_no_further_individual(path: Path, individuals: int) -> None:
     for further in others:
         if further.exists():
             beside = path.name if individuals == 1 else first.name
-            raise MismatchError(
-                further,
-                f"no file of a further individual beside {beside}",
-                "one",
-                "remove it or choose another name",
-            )
+            expected = f"no file of a further individual beside {beside}"
+            raise MismatchError(further, expected, "one", "remove it or choose another name")
 
 
 def _check_no_folder(path: Path) -> None:

@@ -81,12 +81,9 @@ def load_poses(
     if known == OWN and file.poses.unit == ARBITRARY:
         raise refuse_unit(document.source, unit)
     if file.poses.unit not in (ARBITRARY, unit):
-        raise MismatchError(
-            document.source,
-            f"lengths in {file.poses.unit}, as the file says",
-            argument("input_unit", unit),
-            "leave it out",
-        )
+        expected = f"lengths in {file.poses.unit}, as the file says"
+        owner = document.source
+        raise MismatchError(owner, expected, argument("input_unit", unit), "leave it out")
     return replace(file, poses=replace(file.poses, unit=unit))
 
 

@@ -183,12 +183,8 @@ def fill_gaps(poses: Poses3D, owner: str) -> tuple[Ints, Floats]:
         raise MismatchError(owner, "at least one frame", "none", "nothing to write")
     first, last = int(poses.frames[0]), int(poses.frames[-1])
     if last - first >= _LONGEST:
-        raise MismatchError(
-            owner,
-            f"frames within {_LONGEST} of each other, as the format has no gaps",
-            f"{first} to {last}",
-            "split the file",
-        )
+        expected = f"frames within {_LONGEST} of each other, as the format has no gaps"
+        raise MismatchError(owner, expected, f"{first} to {last}", "split the file")
     positions = np.full((last - first + 1, *poses.positions.shape[1:]), np.nan)
     positions[poses.frames - first] = poses.positions
     return np.arange(first, last + 1), positions
@@ -197,9 +193,8 @@ def fill_gaps(poses: Poses3D, owner: str) -> tuple[Ints, Floats]:
 def need_rate(file: PoseFile, owner: str) -> float:
     """Return the frames per second. Raises MismatchError where nobody said."""
     if not file.rate > 0 or not np.isfinite(file.rate):
-        raise MismatchError(
-            owner, "the number of frames per second", "none", f"say it with {argument('fps')}"
-        )
+        remedy = f"say it with {argument('fps')}"
+        raise MismatchError(owner, "the number of frames per second", "none", remedy)
     return file.rate
 
 

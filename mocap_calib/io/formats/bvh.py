@@ -164,12 +164,9 @@ def _make_tree(file: PoseFile) -> _Tree:
     names = file.poses.keypoints
     edges = known_edges(file)
     if not edges:
-        raise MismatchError(
-            "bvh",
-            "keypoints that a skeleton joins",
-            f"{', '.join(names[:4])}, ...",
-            "write another format, or rename them (docs/skeletons.md)",
-        )
+        found = f"{', '.join(names[:4])}, ..."
+        remedy = "write another format, or rename them (docs/skeletons.md)"
+        raise MismatchError("bvh", "keypoints that a skeleton joins", found, remedy)
     skeleton = choose_skeleton(names)
     joints = match_names(names, skeleton)
     known = {skeleton.keypoints[joint]: k for k, joint in enumerate(joints) if joint >= 0}

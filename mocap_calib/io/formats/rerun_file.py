@@ -21,15 +21,6 @@ from mocap_calib.io.poses import (
     up_axis,
 )
 
-_UP = {  # axis that points up -> rerun's name for a right-handed frame of reference
-    "x": "RIGHT_HAND_X_UP",
-    "y": "RIGHT_HAND_Y_UP",
-    "z": "RIGHT_HAND_Z_UP",
-    "-x": "RIGHT_HAND_X_DOWN",
-    "-y": "RIGHT_HAND_Y_DOWN",
-    "-z": "RIGHT_HAND_Z_DOWN",
-}
-
 
 def write(file: PoseFile, title: str) -> bytes:
     """Write a recording."""
@@ -48,9 +39,10 @@ def write(file: PoseFile, title: str) -> bytes:
 
 def _log_scene(rerun: Any, stream: Any, file: PoseFile) -> None:
     """Log what does not move: what is up, how points are joined, the cameras."""
-    up = up_axis(file)
-    if up:
-        stream.log("/", getattr(rerun.ViewCoordinates, _UP[up]), static=True)
+    if up := up_axis(file):
+        way = "DOWN" if up.startswith("-") else "UP"
+        axes = getattr(rerun.ViewCoordinates, f"RIGHT_HAND_{up[-1].upper()}_{way}")
+        stream.log("/", axes, static=True)
     joints = [rerun.AnnotationInfo(id=k, label=name) for k, name in enumerate(file.poses.keypoints)]
     classes = [
         rerun.ClassDescription(

@@ -130,17 +130,10 @@ def _format_header(file: PoseFile, title: str, frames: Ints, rate: float) -> lis
     frames: `[frame]` numbers that are written.
     """
     names = _marker_names(file)
-    count = str(len(frames))
-    fields = {
-        "DataRate": repr(rate),
-        "CameraRate": repr(rate),
-        "NumFrames": count,
-        "NumMarkers": str(len(names)),
-        "Units": file.poses.unit,
-        "OrigDataRate": repr(rate),
-        "OrigDataStartFrame": str(frames[0]),
-        "OrigNumFrames": count,
-    }
+    own_rate, count = repr(rate), str(len(frames))
+    fields = {"DataRate": own_rate, "CameraRate": own_rate, "NumFrames": count}
+    fields |= {"NumMarkers": str(len(names)), "Units": file.poses.unit, "OrigDataRate": own_rate}
+    fields |= {"OrigDataStartFrame": str(frames[0]), "OrigNumFrames": count}
     axes = "".join(f"X{number}\tY{number}\tZ{number}\t" for number in range(1, len(names) + 1))
     return [
         f"PathFileType\t4\t(X/Y/Z)\t{title}",
@@ -161,20 +154,15 @@ def _marker_names(file: PoseFile) -> tuple[str, ...]:
     skeleton = choose_skeleton(file.spelt)
     if skeleton.name != _PEOPLE:
         return names
+    markers = dict(_MARKERS)
+    for side in ("left", "right"):
+        markers |= {f"{side}_{joint}": side[0].upper() + own for joint, own in _MARKERS.items()}
     joints = match_names(file.spelt, skeleton)
-    markers = tuple(
-        _name_marker(skeleton.keypoints[joint], name) if joint >= 0 else name
+    found = tuple(
+        markers.get(skeleton.keypoints[joint], name) if joint >= 0 else name
         for name, joint in zip(names, joints, strict=True)
     )
-    return markers if len(set(markers)) == len(names) else names
-
-
-def _name_marker(joint: str, otherwise: str) -> str:
-    """Return the marker of a joint, another name where it has none."""
-    side, _, rest = joint.partition("_")
-    if side in ("left", "right"):
-        return f"{side[0].upper()}{_MARKERS[rest]}" if rest in _MARKERS else otherwise
-    return _MARKERS.get(joint, otherwise)
+    return found if len(set(found)) == len(names) else names
 
 
 def _format_row(row: list[float]) -> str:
