@@ -140,7 +140,9 @@ def _read_all(
     def read(document: Document) -> tuple[Keypoints2D, ...] | MocapCalibError:
         try:
             views = guard_hdf5(document, _read, document, format, options)
-            return tuple(_copy(view, view.positions.dtype) for view in views)  # out of memory
+            if document.is_hdf5:  # what another process hands over lies in memory
+                views = tuple(_copy(view, view.positions.dtype) for view in views)
+            return views
         except MocapCalibError as error:
             return error
 
