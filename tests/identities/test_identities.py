@@ -8,7 +8,7 @@ from scenes import PEOPLE, calibrate_group, precision, rotation_errors_deg, scen
 
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.identities import finalise_identities, join_pieces, motion_evidence
-from mocap_calib.identities.pieces import BoneLengths, cut_into_pieces
+from mocap_calib.identities.pieces import BoneLengths, cut_into_pieces, measure_bones
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import Matches
 from mocap_calib.types import Recording
@@ -173,6 +173,19 @@ def test_pieces_have_no_gaps():
     pieces = cut_into_pieces(points, np.arange(FRAMES), MatchingConfig())
     assert pieces.lengths.tolist() == np.bincount(pieces.number[seen]).tolist()
     assert sorted(pieces.lengths) == [30, 40, 50, 160]
+
+
+def test_bones_are_what_keeps_its_length_not_what_is_short():
+    """Two arms of 1 and 0.8 m swing about a rigid body; their ends are 0.2 to 0.8 m apart."""
+    angle, rng = 0.5 + 0.3 * np.sin(np.arange(FRAMES) / 3), np.random.default_rng(0)
+    points = np.zeros((FRAMES, 1, 6, 3))
+    points[:, 0, 1, 0] = 1.0
+    points[:, 0, 2, :2] = 0.8 * np.stack([np.cos(angle), np.sin(angle)], -1)
+    points[:, 0, 3:, 2] = [0.1, 0.2, 0.3]
+    points += 1e-3 * rng.normal(size=points.shape)
+    pieces = cut_into_pieces(points, np.arange(FRAMES), MatchingConfig())
+    lengths = np.exp(measure_bones(points, pieces, 1).mean)
+    np.testing.assert_allclose(np.sort(lengths, axis=1)[:, -2:], [[0.8, 1.0]], rtol=0.08)
 
 
 @pytest.mark.parametrize("seed", range(3))
