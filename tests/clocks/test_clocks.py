@@ -5,6 +5,7 @@ Rotations and offsets of two views are held to their definitions.
 
 from dataclasses import replace
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -268,6 +269,12 @@ def test_cameras_that_nothing_compares_do_not_vouch_for_each_other():
     agreements = Agreements(views=4, measured={(0, 1): agree, (2, 3): agree}, window=5)
     found = weigh(agreements, timing_of(time, time, late, late), 2)
     assert found["partners"] == found["score"] == 0
+    scores = []
+    for views in (2, 3):  # as sure of two witnesses as of one: their mean counts
+        measured = dict.fromkeys(combinations(range(views), 2), agree)
+        agreements = Agreements(views=views, measured=measured, window=5)
+        scores.append(weigh(agreements, timing_of(*[time] * views), 1)["score"])
+    assert scores[1] == pytest.approx(scores[0])
     alone = Agreements(views=3, measured={(0, 1): np.ones((1, 9, 9), np.float32)}, window=2)
     assert not any(weigh(alone, Timing.synchronous(3, (1, 9)), 2).values())
 
