@@ -76,7 +76,7 @@ def report_frames(recording: Recording) -> Ints:
 class Look:
     """A group of cameras, and the residuals of its points.
 
-    gap: `[view, 2, frame, individual, keypoint]` in degrees.
+    gap: `[view, 2, frame, individual, keypoint]` in degrees. Image sizes may be (0, 0), unknown.
     """
 
     group: GroupResult
@@ -141,7 +141,7 @@ class CheckKind:
     """What a check measures, and what it means.
 
     text: what is measured, in degrees. meaning, remedy: of a check that is a reason for the
-        verdict; `{value}`, in degrees, and `{camera}` are filled in.
+        verdict; `{value}`, in degrees, and `{camera}` of the meaning are filled in.
     measure: returns the error in degrees, or `[view]` errors, of which the largest counts.
     """
 
