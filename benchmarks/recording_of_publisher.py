@@ -88,7 +88,7 @@ def make(rig: CameraRig, options: argparse.Namespace) -> Made:
 def of_detections(rig: CameraRig, files: Sequence[Keypoints2D], kind: str) -> Made:
     """Return a recording of one subject, with what a detector found.
 
-    Raises MismatchError where a frame has two detections: nobody says who they are.
+    Raises MismatchError where a frame has two detections: their identities are unknown.
     """
     by_camera = {file.camera: file for file in files}
     ordered = tuple(by_camera[name] for name in rig.names)

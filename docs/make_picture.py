@@ -84,7 +84,7 @@ def draw_scene(rig: CameraRig, positions: Floats, edges: Iterable[tuple[int, int
 
     positions: `[frame, individual, keypoint, 3]`, z up, as `of_human_size` gives them.
     """
-    marks = [text(330, 30, "Out: cameras, who is who, 3D poses", size=17), *draw_floor(rig)]
+    marks = [text(330, 30, "Out: cameras, identities, 3D poses", size=17), *draw_floor(rig)]
     now = positions[FRAME]
     things = [
         (depth(rig.centres[view]), draw_camera(rig, view)) for view in range(len(rig.cameras))

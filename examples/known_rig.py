@@ -15,7 +15,7 @@ import mocap_calib as mc
 
 
 def main(cameras: str, keypoints: str, out: Path) -> None:
-    """Check that the rig still holds, find who is who, triangulate, and write."""
+    """Check that the rig still holds, find identities, triangulate, and write."""
     rig = mc.read_rig(cameras)
     session = mc.read_recording(keypoints, cameras=rig)
     rig = rig.select(session.names)  # the cameras that have keypoints, in their order

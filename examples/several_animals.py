@@ -1,4 +1,4 @@
-"""Several animals: how many there are is said, who is who is found, and how near they come.
+"""Several animals: given their number, find identities and their distances.
 
 python several_animals.py
 """

@@ -292,7 +292,8 @@ def verdict_of_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
     verdict = report["verdict"]
     sigma = verdict["rotation_sigma_deg"]
     faults = [
-        f"{camera['name']}: {fault['says']}" + ("; mended for this run" if fault["mended"] else "")
+        f"{camera['name']}: {fault['says']}"
+        + ("; corrected in this run" if fault["mended"] else "")
         for camera in report["cameras"]
         for fault in camera["fault_evidence"].values()
     ]

@@ -40,7 +40,7 @@ SMALL = {"frames": 40, "false_detections": 0.0}
 @pytest.mark.slow
 @pytest.mark.parametrize(("changes", "bound"), [s[1:] for s in SCENES], ids=[s[0] for s in SCENES])
 def test_scene(changes, bound):
-    """Identities unknown, order shuffled: the rig, and who is who."""
+    """Identities unknown, order shuffled: the rig and the identities."""
     found, made = calibrated(**changes), scene(**changes)
     assert rotation_errors_deg(found.rig, made.rig).max() < bound
     assert precision(found.matches.labels, made.identity) > 0.99

@@ -158,7 +158,7 @@ def is_solver(method: str) -> bool:
 
 
 def is_informed(method: str) -> bool:
-    """Return whether a method is told who is who."""
+    """Return whether a method is given the identities."""
     return method.endswith("-informed")
 
 

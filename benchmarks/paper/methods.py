@@ -41,7 +41,7 @@ BATCH = 50  # of the others
 class Problem:
     """Views a and b of a recording, all of its frames.
 
-    identities: `[frame, I, J]` who is who, for methods `...-informed` alone.
+    identities: `[frame, I, J]` matches, for methods `...-informed` alone.
     """
 
     recording: Sample
@@ -255,7 +255,7 @@ METHODS: dict[str, Method] = {
     "paper-factorised-nogeom": paper("factorised", PaperConfig(geometric_weight=0.0)),
     "ours": ours(PairwiseConfig()),
     "ours-norays": ours(replace(PairwiseConfig(), loss_widths=())),
-    # these are told who is who (`Problem.identities`), which nobody tells the others
+    # these are given the identities (`Problem.identities`); the others are not
     "procrustes-adjusted-informed": rival(procrustes, adjusted=True, informed=True),
     "sphere-adjusted-informed": rival(sphere, adjusted=True, informed=True),
 }

@@ -59,7 +59,7 @@ def real_pairs(
 
 
 def _known_ids(recording: Recording, ids: Ints) -> Ints:
-    """Return `[view, frame, instance]` who is who in the recording's frames, -1 = nobody knows.
+    """Return `[view, frame, instance]` identities in the recording's frames, -1 = nobody knows.
 
     ids: the same by the number of the frame.
     """

@@ -2,7 +2,7 @@
 
 `procrustes`: all joints in 3D by one similarity, as programs do that calibrate by a monocular
 estimate of the pose. `sphere`: directions of bones as points on the unit sphere, whose rotation
-and who is who are found in turns by expectation and maximisation of von Mises-Fisher
+and identities are found in turns by expectation and maximisation of von Mises-Fisher
 distributions, the translation by coplanarity ("Spatiotemporal Multi-Camera Calibration using
 Freely Moving People", Lee, Nishino and Nobuhara 2025, without its clocks; with identities given,
 the linear step of "Extrinsic Camera Calibration from a Moving Person", Lee et al. 2022).
@@ -79,7 +79,7 @@ def lifted_pair(
 def procrustes(pair: LiftedPair, identities: Bools | None = None) -> Found | None:
     """Align all joints in 3D by the similarity (Umeyama 1991) with the smallest residual.
 
-    identities: `[frame, I, J]` who is who; otherwise each pair of detections is tried as a start,
+    identities: `[frame, I, J]` matches; otherwise each pair of detections is tried as a start,
         and matches and similarity are found in turns.
     """
     if identities is not None:
@@ -224,7 +224,7 @@ def _turn(pair: LiftedPair, weight: Floats) -> Floats:
 
 
 def _expect_and_maximise(pair: LiftedPair, rotation: Floats) -> tuple[Floats, Floats, float]:
-    """Return R, who is who `[frame, I, J]`, and the logarithm of the likelihood.
+    """Return R, matches `[frame, I, J]`, and the logarithm of the likelihood.
 
     A detection of b is drawn from one of a's: its bones from von Mises-Fisher distributions about
     those of a, turned. Expectation is made doubly stochastic where it matches everyone to someone.

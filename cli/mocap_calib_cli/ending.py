@@ -216,7 +216,7 @@ def _describe_mended(report: dict[str, Any]) -> list[str]:
     for camera in report["cameras"]:
         for fault in camera["fault_evidence"].values():
             own = f", or say {fault['option']}" if fault["option"] else ""
-            done = f"; mended for this run: {fault['advice']}{own}" if fault["mended"] else ""
+            done = f"; corrected in this run: {fault['advice']}{own}" if fault["mended"] else ""
             lines.append(f"{camera['name']}: {fault['says']}{done}")
     return lines
 

@@ -9,7 +9,7 @@ batch: Many recordings; what is finished is kept.
 inspect: What is in keypoint files, and what would make a run fail.
 pairwise: Relative poses of all pairs of cameras.
 average: Where all cameras stand, from the pairs (the rig).
-match: Who is who in all cameras.
+match: Find identities across all cameras.
 adjust: Make the rig as exact as the keypoints allow (bundle adjustment).
 triangulate: 3D poses from the rig and the matches.
 scale: Set the scale of results by known lengths.

@@ -114,7 +114,7 @@ def _evidence(fitted: FittedHypothesis, share: float, config: DiagnosisConfig) -
         return 0.0
     if name == "sides" and share > config.exchanged_share:
         return share * fitted.effective  # a nat each, for those that fit exchanged alone
-    # no more than chance would hardly make of keypoints that differ so much (Vuong 1989)
+    # at most the evidence that the mean gain is not chance, given its spread (Vuong 1989)
     certain = fitted.gain * abs(fitted.gain) / max(2 * fitted.spread**2, 1e-300)
     gained = _upright(fitted, config) + min(
         _gained(fitted, fitted.effective), certain * fitted.effective

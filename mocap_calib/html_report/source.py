@@ -14,7 +14,7 @@ MOST_KEYPOINTS = 1_000_000  # that are looked at for errors or for series
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Seen(Record):
-    """What the cameras saw, and who is who in it: in the frames of the poses."""
+    """Detections and identities in the frames of the poses."""
 
     recording: Recording
     matches: Matches

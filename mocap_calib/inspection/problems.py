@@ -125,14 +125,14 @@ def _find_missing_views(views: _Views, usable: _Views) -> Iterator[Finding]:
 def _find_still_subjects(
     usable: _Views, cameras: _Pairs, config: InspectConfig
 ) -> Iterator[Finding]:
-    """Say that hardly anything moves, where that is so. cameras: of the report."""
+    """Return a finding where little moves. cameras: of the report."""
     names = {view.camera for view in usable}
     known = [
         each["motion"] for each in cameras if each["name"] in names and each["motion"] is not None
     ]
     if known and np.median(known) < config.least_motion:
         yield _warning(
-            f"hardly anything moves: between frames bodies are {np.median(known):.0%} of their "
+            f"little moves: between frames bodies are {np.median(known):.0%} of their "
             f"size apart, expected {config.least_motion:.0%} or more; still subjects do not "
             "determine where cameras stand: let somebody walk about and turn"
         )

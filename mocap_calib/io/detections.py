@@ -328,10 +328,10 @@ def _have_gaps(views: Views) -> bool:
 
 
 NAMES = Loss("the names of keypoints", bool)
-FOLLOWED = Loss("who is who from frame to frame", _follow_individuals)
+FOLLOWED = Loss("identities from frame to frame", _follow_individuals)
 # one column for all cameras says either individual or instance
 MIXED = Loss(
-    "who is who from frame to frame, as one of the cameras does not say it",
+    "identities from frame to frame, which one of the cameras lacks",
     _follow_in_some_cameras,
 )
 SIZES = Loss("image sizes", _have_sizes)

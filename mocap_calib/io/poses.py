@@ -30,7 +30,7 @@ class PoseFile:
     """Poses and what files say beside.
 
     poses: where a file lacks them, error, confidence and covariance are NaN and views 0.
-    rate: frames per second, NaN where nobody says.
+    rate: frames per second, NaN where not stated.
     individuals: `[individual]` names; those of a file without names are called individual_0, ...
     notes: what a user should know of what was left out.
     edges: pairs of keypoints (indices) that a skeleton joins, where the file says so.
@@ -248,8 +248,8 @@ def turn_up_axis(file: PoseFile, up: str) -> PoseFile:
 def turn_upright(file: PoseFile, axis: str) -> PoseFile:
     """Turn the poses so that what is up is this axis, where the poses say what is up.
 
-    axis: y or z; with another, or where nobody says what is up, the axes stay. From the axes of
-    the world that are nearest to up to those of the file is a change of axes alone, (X, Y, Z) ->
+    axis: y or z; with another, or where none is stated to point up, the axes stay. From the axes
+    of the world that are nearest to up to those of the file is a change of axes alone, (X, Y, Z) ->
     (Y, Z, X) for z up and y wanted; the rest is the smallest turn.
     """
     up = file.poses.world.up
@@ -266,7 +266,7 @@ def turn_upright(file: PoseFile, axis: str) -> PoseFile:
 
 
 def up_axis(file: PoseFile) -> str:
-    """Return the axis of the file that points up (x, -y, ...), "" where none does, or nobody says.
+    """Return the axis of the file that points up (x, -y, ...), "" where none is known to.
 
     Within half a degree, which no reader tells from the axis.
     """

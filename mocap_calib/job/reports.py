@@ -163,7 +163,7 @@ def _covariance(folder: ResultsFolder, rig: CameraRig) -> Floats:
 def _read_seen(
     folder: ResultsFolder, rig: CameraRig, keypoints: KeypointSource, frames: Ints
 ) -> Seen:
-    """Return what the cameras saw in frames `[frame]` (numbers), and who is who.
+    """Return what the cameras saw in frames `[frame]` (numbers), and identities.
 
     Raises FormatError and MismatchError.
     """

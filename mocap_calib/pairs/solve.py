@@ -1,4 +1,4 @@
-"""Two views -> their relative pose and who is who.
+"""Two views -> their relative pose and matches.
 
 Every possible match of two lifted bodies gives a rotation in closed form, and five-point RANSAC
 gives more where identities are known. All are scored on all frames at once; the best hypotheses

@@ -35,7 +35,7 @@ Estimator = Callable[[Floats, Floats, float, int], RelativePose | None]
 
 
 class Found(NamedTuple):
-    """A relative pose b_from_a and who is who.
+    """A relative pose b_from_a and matches.
 
     rotation: `[3, 3]`; translation: `[3]` of length 1.
     matches: `[match, 3]` rows (frame, instance in a, instance in b).

@@ -197,7 +197,7 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Fl
 def with_second_neighbours(bones: Ints, keypoints: int) -> Ints:
     """Return bones `[bone, 2]` and then the pairs that two bones join, all of them `[edge, 2]`.
 
-    Hips, shoulders and heads hardly change their shape: the ends of two bones of theirs are as far
+    Hips, shoulders and heads barely change shape: the ends of two bones of theirs are as far
     from each other as those of one. Those of a leg are not; how much they vary is measured.
     """
     joined = np.zeros((keypoints, keypoints), dtype=np.int64)

@@ -71,7 +71,7 @@ def scene_files(scene: Scene, command: str) -> dict[str, bytes]:
     texts["reference.toml"] = format_calibration_toml(scene.rig, {"command": command})
     texts["README.md"] = (
         f"A synthetic recording of {describe_kinds(scene.kinds)}: keypoints and cameras, and the "
-        f"truth: where cameras stand, who is who, 3D.\nMade by `{command}`.\n\n{_COMMANDS}"
+        f"truth: camera poses, identities, 3D poses.\nMade by `{command}`.\n\n{_COMMANDS}"
     )
     files = {name: text.encode() for name, text in texts.items()}
     return files | {"truth.npz": _pack_truth(scene)}

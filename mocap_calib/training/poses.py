@@ -198,7 +198,7 @@ class TrainingSource:
         return self.skeleton or "people"
 
     def describe(self) -> str:
-        """Return what a model card says of the data where nobody says more."""
+        """Return what a model card says of the data unless stated otherwise."""
         return ", ".join(path.name for path in self.files) or "procedural bodies"
 
 

@@ -40,7 +40,7 @@ def test_a_late_camera_is_put_on_the_clock_of_the_others(made, tool):
     """Measured: the rig differs by 0.02 deg from that of cameras in step."""
     late = ("--frame-offset", "cam2:5")
     done = run(tool, made, "late", *late)
-    assert "cam2: its clock is 5 frames late; mended for this run" in done.stderr
+    assert "cam2: its clock is 5 frames late; corrected in this run" in done.stderr
     assert "--frame-offset cam2:-5" in done.stderr
     report = json.loads((made / "late" / "run.json").read_text("utf-8"))
     assert [camera["faults"] for camera in report["cameras"]] == [[], ["clock"], []]

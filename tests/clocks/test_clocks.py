@@ -421,7 +421,7 @@ def finer_scene(people: int = 1) -> mc.Scene:
 
 @lru_cache
 def off(offsets: tuple[float, ...] = OFFSETS, people: int = 1) -> tuple[mc.Recording, mc.Matches]:
-    """What cameras whose clocks are off by parts of a frame see of it, and who is who."""
+    """What cameras whose clocks are off by parts of a frame see of it, and identities."""
     made = finer_scene(people)
     whole = mc.Recording.from_keypoints(made.files, made.rig)
     taken = [FINER * np.arange(1, FRAMES + 1) + round(FINER * tau) for tau in offsets]

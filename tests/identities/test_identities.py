@@ -1,4 +1,4 @@
-"""Who is who through a recording: bodies that meet, vanish and come back, with truth."""
+"""Identities through a recording: bodies that meet, vanish and come back, with truth."""
 
 from dataclasses import replace
 

@@ -174,7 +174,7 @@ def in_a_mirror(pair: PairwiseCalibration) -> PairwiseCalibration:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_averaging_knows_no_order_unit_or_mirror_and_hardly_which_camera_is_first(seed):
+def test_averaging_knows_no_order_unit_or_mirror_and_barely_the_first_camera(seed):
     """Of pairs a degree and 1 % of their baselines off. Measured 9e-11; in the mirror 3e-15.
 
     A baseline is laid out by the rotation of the second camera: exchanged, centres move by up to

@@ -160,7 +160,7 @@ def test_of_two_cameras_both_are_named():
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_in_a_calibration_of_other_cameras_none_is_named(seed):
-    """Hardly a camera stands where it is said. Some may agree on strangers by chance."""
+    """Few cameras stand where it is said. Some may agree on strangers by chance."""
     wrong, rng = scene().rig, np.random.default_rng(seed)
     for view in range(4):
         shift = 1.5 * rng.normal(size=3)

@@ -64,7 +64,7 @@ export interface RigCamera {
   /** First and last frame at which it stands here. */
   first: number;
   last: number;
-  /** (width, height) in pixels, [0, 0] where nobody says. */
+  /** (width, height) in pixels, [0, 0] where not stated. */
   size: [number, number];
   /** 3 x 3. */
   matrix: number[];

@@ -19,7 +19,7 @@ _COLUMNS = {  # heading -> what it means
     "gaps": "places between them where frame numbers are not there",
     "detections": "bodies found, in all frames together",
     "at once": "most detections in one frame",
-    "followed": "whether the file says who is who from frame to frame",
+    "followed": "whether the file has identities from frame to frame",
     "joints": "names of keypoints in the file",
     "missing": "share of the points that the file marks as not found",
     "score": "lowest and highest score of a point, as the detector gave them",

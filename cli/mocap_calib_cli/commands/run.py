@@ -28,7 +28,7 @@ _NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video 
     option_files.SAVE_CONFIG,
 )
 def command(typed: Typed) -> int:
-    """Calibrate the cameras that saw KEYPOINTS, find who is who, and triangulate the poses.
+    """Calibrate the cameras that saw KEYPOINTS, find identities, and triangulate the poses.
 
     KEYPOINTS: a folder with a file or a folder per camera, or files, or name=path pairs, or a
     file of all cameras. The name of a camera is that of its file or folder; it must be a name in

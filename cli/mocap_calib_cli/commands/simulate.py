@@ -53,7 +53,7 @@ _KIND = values.Written("KIND[:N]", read=_read_kind, offers=lambda: dict.fromkeys
 def command(typed: Typed) -> None:
     """Make a recording of synthetic people or animals with its truth.
 
-    These are keypoints (COCO), cameras, who is who, and the true 3D poses.
+    These are keypoints (COCO), cameras, identities, and the true 3D poses.
 
     \b
     Example:

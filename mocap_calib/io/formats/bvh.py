@@ -238,7 +238,7 @@ def _fit_rest_pose(own: Floats) -> tuple[Floats, Floats]:
     """Return the mean `[joint, 3]` of the body in its own axes, and its turns `[frame, 3, 3]`.
 
     Generalised Procrustes (Gower 1975) about the root, each joint weighted by how still it is in
-    the body, so that the trunk counts and swinging limbs hardly do.
+    the body, so that the trunk counts and swinging limbs count little.
 
     own: `[frame, joint, 3]` from the root, NaN = missing.
     """

@@ -39,7 +39,7 @@ def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY
 
     Raises MismatchError for a name that is not known, a format that needs `fps` where there are
     none, one whose packages are not installed, and one that needs a unit of length where
-    nobody says one.
+    none is stated.
     """
     for name in names:
         if name not in _FORMATS:

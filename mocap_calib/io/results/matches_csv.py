@@ -1,4 +1,4 @@
-"""matches.csv: who is who, a row per detection."""
+"""matches.csv: identities, a row per detection."""
 
 from collections.abc import Iterator
 from functools import partial
