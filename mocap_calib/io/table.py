@@ -27,7 +27,8 @@ from mocap_calib.types import Bools, Floats, Ints
 
 Column = int | str  # its index, or its heading
 _PIECE = 1 << 17  # numbers: some are under way on each thread, of 25 characters each
-_NUMBERS = msgspec.json.Decoder(list[list[float | None]])
+_ROWS = msgspec.json.Decoder(list[list[float]])
+_NUMBERS = msgspec.json.Decoder(list[float])
 
 
 @dataclass(frozen=True)
@@ -86,15 +87,16 @@ def read_table(
         places |= {heading: place for place, heading in enumerate(headings)}
     text_places = {column: places[column] for column in texts if column in places}
     number_places = [places.get(column, width) for column in numbers]
-    plain = array("d")
+    values, is_all = np.empty((0, width)), False
     if [*text_places.values(), *number_places] == list(range(width)) and len(text_places) == 1:
-        plain = _read_plain(document, first_line, width)
-    values = np.frombuffer(plain).reshape(-1, width)
+        values, is_all = _read_plain(document, first_line, width)
     lines = list(range(first_line + 1, first_line + 1 + len(values)))
     numbers_of_rows = tuple(map(str, values[:, 0].astype(np.int64).tolist()))
     kept: list[list[str]] = []
     further, first_cell = array("d"), max(text_places.values(), default=-1) + 1
-    for line, cells in read_rows(document, first_line + len(values)) if len(values) else rows:
+    if len(values):
+        rows = iter(()) if is_all else read_rows(document, first_line + len(values))
+    for line, cells in rows:
         where = f"{document.source}: row {line}"
         is_missing = len(cells) > first_cell and not any(cells[first_cell:])
         row = _fit(cells, width, where, may_end=is_missing)
@@ -120,27 +122,60 @@ def _join(first: Floats, then: Floats) -> Floats:
     return np.concatenate([first, then])
 
 
-def _read_plain(document: Document, first_line: int, width: int) -> "array[float]":
-    """Return the numbers of a table of `width` columns, up to the first block of other cells.
+def _read_plain(document: Document, first_line: int, width: int) -> tuple[Floats, bool]:
+    """Return the `[row, width]` numbers of a table, and whether they are all that it has.
 
-    The first column holds frame numbers. JSON's parser takes a quarter of the time of `float`, to
-    the same last bit.
+    They end before the first block with cells that are neither numbers nor empty. The first column
+    holds frame numbers.
     """
-    found = array("d")
+    found, is_all = array("d"), True
     for block in document.blocks(first_line):
-        rows = block.strip().replace(b"\n", b"],[")
-        try:
-            numbers = _NUMBERS.decode(b"[[" + rows + b"]]")
-        except msgspec.MsgspecError:
-            break
-        if set(map(len, numbers)) != {width}:
-            break
-        values = np.array(numbers, dtype=np.float64)
+        values = _parse_block(block, width)
         first = values[:, 0]
-        if not (np.mod(first, 1) == 0).all() or np.abs(first).max() > LARGEST_EXACT_FLOAT:
+        if not len(first) or np.mod(first, 1).any() or np.abs(first).max() > LARGEST_EXACT_FLOAT:
+            is_all = False
             break
         found.frombytes(values.tobytes())
-    return found
+    return np.frombuffer(found).reshape(-1, width), is_all
+
+
+def _parse_block(block: bytes, width: int) -> Floats:
+    """Return the `[row, width]` numbers of whole lines, NaN for empty cells; none for others.
+
+    JSON's parser takes a quarter of the time of `float`, to the same last bit.
+    """
+    rows = block.strip().replace(b"\n", b"],[")
+    try:
+        numbers = _ROWS.decode(b"[[" + rows + b"]]")
+    except msgspec.MsgspecError:
+        return _parse_with_gaps(block, width)
+    is_full = set(map(len, numbers)) == {width}
+    return np.array(numbers if is_full else (), dtype=np.float64).reshape(-1, width)
+
+
+def _parse_with_gaps(block: bytes, width: int) -> Floats:
+    """Return what `_parse_block` does. JSON has no empty cells: the comma of each becomes blank."""
+    lines = block.rstrip() if b"\r" not in block else block.rstrip().replace(b"\r\n", b"\n")
+    none = np.empty((0, width))
+    text = bytearray(b"[%b\n" % lines)
+    codes = np.frombuffer(text, dtype=np.uint8)
+    is_line_end = codes == ord("\n")
+    ends = np.flatnonzero((codes == ord(",")) | is_line_end)  # of cells
+    line_ends = ends[width - 1 :: width]
+    is_table = len(ends) % width == 0 and np.count_nonzero(is_line_end) == len(line_ends)
+    has_number = np.append(ends[0] > 1, ends[1:] - ends[:-1] > 1)
+    if not is_table or not is_line_end[line_ends].all() or not has_number.any():
+        return none
+    codes[line_ends] = ord(",")
+    codes[ends[~has_number]] = ord(" ")
+    codes[ends[has_number][-1]] = ord("]")
+    try:
+        numbers = _NUMBERS.decode(text)
+    except msgspec.MsgspecError:
+        return none
+    values = np.full(len(ends), np.nan)
+    values[has_number] = np.fromiter(numbers, np.float64, len(numbers))
+    return values.reshape(-1, width)
 
 
 def _fit(cells: list[str], width: int, where: str, *, may_end: bool) -> list[str]:

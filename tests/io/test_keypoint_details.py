@@ -535,6 +535,20 @@ def test_numbers_of_a_table_are_those_of_python_however_it_is_read(tmp_path):
         np.testing.assert_array_equal(view.positions, wanted)
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_empty_cells_of_a_long_table_are_missing_points_in_their_places(tmp_path, end):
+    wanted = np.random.default_rng(0).uniform(1, 99, (4000, 1, 2, 2))
+    wanted[::3, :, 0] = wanted[1::7, :, 1] = NAN
+    rows = [",".join(map(repr, row.ravel().tolist())).replace("nan", "") for row in wanted]
+    header = ["bodyparts,a,a,b,b", "coords,x,y,x,y"]
+    lines = [*header, *(f"{number},{row}" for number, row in enumerate(rows))]
+    text(end.join(lines), "a.csv")(tmp_path)
+    np.testing.assert_array_equal(mc.read_keypoints(tmp_path / "a.csv")[0].positions, wanted)
+    text(end.join([*lines, "4000,1,,x,1"]), "a.csv")(tmp_path)
+    with pytest.raises(mc.FormatError, match=r"row 4003.*a number"):
+        mc.read_keypoints(tmp_path / "a.csv")
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
 @pytest.mark.parametrize("path", ["coco/cam.json", "deeplabcut-csv/cam.csv"])
 def test_powershell_s_utf_16_is_read(tmp_path, path, encoding):
