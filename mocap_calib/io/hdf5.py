@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +17,8 @@ from mocap_calib.io.file import MOST_POINTS
 from mocap_calib.types import Ints
 
 if TYPE_CHECKING:
+    import h5py
+
     from mocap_calib.io.document import Document
 
 # what h5py, numpy, zipfile and c3d raise on files that are cut or damaged, or packed by a filter
@@ -66,7 +67,7 @@ def damage_refused(
 @contextmanager
 def opened_hdf5(
     document: "Document", expected: str, remedy: str = "write the file again"
-) -> Iterator[h5py.File]:
+) -> Iterator["h5py.File"]:
     """Open an HDF5 file, and turn what is raised on damage into a FormatError."""
     with damage_refused(document.source, expected, remedy):
         if document.hdf5 is None:
@@ -103,6 +104,8 @@ def array(group: Any, name: str, source: str) -> NDArray[Any]:
 
     Raises FormatError where there is none, and what h5py raises on damage.
     """
+    import h5py  # noqa: PLC0415 - as in document.py
+
     dataset = group.get(name)
     if not isinstance(dataset, h5py.Dataset):
         raise FormatError(source, f"a dataset `{name}`", "none", "export it again")
@@ -131,11 +134,13 @@ def names_if_there(group: Any, name: str, source: str) -> tuple[str, ...]:
 
 def write_names(group: Any, name: str, values: Iterable[str]) -> None:
     """Write a dataset of names, without the time."""
+    import h5py  # noqa: PLC0415 - as in document.py
+
     texts = np.array(tuple(values), dtype=object)
     group.create_dataset(name, data=texts, dtype=h5py.string_dtype(), track_times=False)
 
 
-def write_packed(file: h5py.File, name: str, array: NDArray[Any]) -> None:
+def write_packed(file: "h5py.File", name: str, array: NDArray[Any]) -> None:
     """Write an array `[frame, ...]` as a dataset that is packed, without the time."""
     if not array.size:
         file.create_dataset(name, array.shape, array.dtype, track_times=False)
@@ -159,6 +164,8 @@ def require_filters(group: Any, source: str, remedy: str) -> None:
 
     PyTables can compress with blosc, which h5py does not have.
     """
+    import h5py  # noqa: PLC0415 - as in document.py
+
     for dataset in (item for item in group.values() if isinstance(item, h5py.Dataset)):
         _check_size(dataset, source)
         layout = dataset.id.get_create_plist()

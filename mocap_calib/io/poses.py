@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, argument
@@ -92,8 +91,11 @@ def check_rate(fps: float | None) -> None:
 # --- for readers
 
 
-def is_hdf5_that(document: Document, test: Callable[[h5py.File], bool]) -> bool:
-    """Return whether the content is HDF5 that passes the test; damaged files do not."""
+def is_hdf5_that(document: Document, test: Callable[[Any], bool]) -> bool:
+    """Return whether the content is HDF5 that passes a test of it as it is opened.
+
+    Damaged files do not.
+    """
     try:
         return document.is_hdf5 and bool(test(document.hdf5))
     except (FormatError, *DAMAGE):

@@ -13,7 +13,6 @@ import io
 import pickle
 from typing import Any, Never
 
-import h5py
 import numpy as np
 
 from mocap_calib import mapped
@@ -202,6 +201,8 @@ def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
 
 
 def _format(view: Keypoints2D) -> bytes:
+    import h5py  # noqa: PLC0415 - as in document.py
+
     table = table_of_view(view)
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
@@ -240,6 +241,8 @@ def _write_array(group: Any, dataset: str, values: Any, **attributes: bytes) -> 
 
 def _set_texts(item: Any, attributes: dict[str, bytes]) -> None:
     """Set attributes in the types that PyTables reads as text."""
+    import h5py  # noqa: PLC0415 - as in document.py
+
     for name, value in attributes.items():
         if value:
             item.attrs.create(name, value, dtype=h5py.string_dtype("utf-8", len(value)))

@@ -13,8 +13,6 @@ import io
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import h5netcdf
-import h5py
 import numpy as np
 
 from mocap_calib import __version__
@@ -225,6 +223,9 @@ def _format_netcdf(
 
     times: `[frame]`. labels: of the other axes. of_positions: how h5netcdf writes these.
     """
+    import h5netcdf  # noqa: PLC0415 - as in document.py
+    import h5py  # noqa: PLC0415 - as in document.py
+
     content = io.BytesIO()
     with h5netcdf.File(content, "w") as out:
         lengths = {"time": len(times)} | {axis: len(texts) for axis, texts in labels.items()}

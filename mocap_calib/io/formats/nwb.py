@@ -13,7 +13,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError
@@ -246,6 +245,8 @@ def _groups_of_type(group: Any, kind: str, depth: int = _DEPTH) -> list[Any]:
 
     Those directly below come first.
     """
+    import h5py  # noqa: PLC0415 - as in document.py
+
     # links are not followed, so that nothing is found twice
     links = {name: group.get(name, getlink=True) for name in group}
     own = [group[name] for name, link in links.items() if isinstance(link, h5py.HardLink)]

@@ -26,7 +26,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, argument
@@ -137,6 +136,8 @@ def _format_analysis(view: Keypoints2D) -> bytes:
     prefix = "track_" if view.tracked else _UNTRACKED
     is_followed = instances > 1 or view.tracked
     track_names = [f"{prefix}{number}" for number in range(instances)] if is_followed else []
+    import h5py  # noqa: PLC0415 - as in document.py
+
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         file["tracks"] = values[..., :2].transpose(1, 3, 2, 0)
