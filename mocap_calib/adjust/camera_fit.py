@@ -1,7 +1,7 @@
 """Fit one camera to points that are known: its pose, and what its images or its lens may hide.
 
-x = scale x_taken + shift: images may be resized or cropped against the intrinsics, and the focal
-length may be another. Robust nonlinear least squares (Cauchy's loss, by the
+Images may be cropped against the intrinsics, and the focal length may be another. Robust
+nonlinear least squares (Cauchy's loss, by the
 iteration of `solve`) on the pixels as they are, so that the errors of all explanations compare.
 Errors of one joint go together, and those of one stretch of time: what the unknowns are uncertain
 by is measured on these (sandwich covariance, Cameron, Gelbach and Miller 2011), not assumed.
@@ -20,7 +20,7 @@ from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints
 
-Unknown = Literal["log_scale", "x", "y", "log_focal"]
+Unknown = Literal["x", "y", "log_focal"]
 _MOST_LOG = 3.0  # no focal length is so many times another: beyond it a fit has run away
 _FAR = 1e6  # pixels: the residual of what is behind the camera
 
@@ -152,9 +152,8 @@ def linearise_camera(
     What is behind the camera has a large residual and no slope.
     """
     value: dict[Unknown, float] = dict(zip(free, now.others.tolist(), strict=True))
-    for name in ("log_scale", "log_focal"):
-        value[name] = float(np.clip(value.get(name, 0.0), -_MOST_LOG, _MOST_LOG))
-    camera = lens.change_intrinsics(camera, log_focal=value["log_focal"], k1=0.0)
+    log_focal = float(np.clip(value.get("log_focal", 0.0), -_MOST_LOG, _MOST_LOG))
+    camera = lens.change_intrinsics(camera, log_focal=log_focal, k1=0.0)
     turned = now.pose[:, :3] @ seen.points.T
     in_camera = turned + now.pose[:, 3:]
     front = in_camera[2] > 1e-9
@@ -163,17 +162,15 @@ def linearise_camera(
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         slopes = lens.image_slopes(camera, image)
     taken = slopes.log_focal + camera.matrix[:2, 2:]
-    scale = float(np.exp(value["log_scale"]))
     shift = np.array([[value.get("x", 0.0)], [value.get("y", 0.0)]])
-    residual = scale * taken + shift - seen.pixels.T
+    residual = taken + shift - seen.pixels.T
     good = front & np.isfinite(residual).all(0)
-    by_image = scale * slopes.image / depth
+    by_image = slopes.image / depth
     by_shift = np.stack([by_image[:, 0], by_image[:, 1], -(by_image * image).sum(1)])
     by_unknown = {
-        "log_scale": scale * taken,
         "x": np.stack([np.ones_like(depth), np.zeros_like(depth)]),
         "y": np.stack([np.zeros_like(depth), np.ones_like(depth)]),
-        "log_focal": scale * slopes.log_focal,
+        "log_focal": slopes.log_focal,
     }
     # a turn w of the camera's axes moves R X by w x R X
     by_turn = np.cross(turned[:, None], by_shift, axis=0)

@@ -25,10 +25,10 @@ from mocap_calib.faults.leave_one_out import (
     OtherCameras,
     leave_out,
     pose_beside,
-    quarter_turn,
     screen_cameras,
 )
 from mocap_calib.geometry.lens import decompose_projection
+from mocap_calib.geometry.rotation import quarter_turn
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import CalibrationResult, Fault
@@ -193,7 +193,7 @@ def fit_hypotheses(
     best = min(resections, key=lambda each: each.cost)
     matched = best.individual >= 0
     rotation = decompose_projection(best.projection)[1]
-    turn = quarter_turn(rotation, others.rig.rotation, diagnosis)
+    turn = quarter_turn(rotation, others.rig.rotation, diagnosis.upright_deg)
     tried = [
         each
         for each in list_hypotheses(sample, view)
@@ -242,8 +242,12 @@ def _fit_all(
         min((fit(k, part.select(few), start, quick) for start in starts), key=cost)
         for k, part in enumerate(seen)
     ]
-    # without unknowns a hypothesis may gain by little of each keypoint, or of a part of them alone
-    kept = [k for k, each in enumerate(tried) if not each.free or cost(rough[k]) < cost(rough[0])]
+    # what changes the images as a whole gains at once; other labels, of a part of the keypoints
+    kept = [
+        k
+        for k, each in enumerate(tried)
+        if cost(rough[k]) < cost(rough[0]) or not (each.free or each.name.startswith("resized"))
+    ]
     fits = [fit(k, seen[k], rough[k].pose, config.fit) for k in kept]
     sharpest = min(float(np.median(one.error)) for one in fits) / MEDIAN_DISTANCE
     gains = [_costs(fits[0], sharpest) - _costs(one, sharpest) for one in fits]

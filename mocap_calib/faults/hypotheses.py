@@ -88,6 +88,8 @@ def list_hypotheses(recording: Recording, view: int) -> tuple[Hypothesis, ...]:
     ]
     if alone.cameras[0].size != (0, 0):
         mends += [(f"rotated {degrees}", Rotated(name, degrees)) for degrees in (90, 180, 270)]
+    if not isinstance(alone.cameras[0], EstimatedCamera):
+        mends += [(f"resized {factor:.3g}", Resized(name, factor)) for factor in PLAIN_FACTORS]
     given = Hypothesis("given", alone.cameras[0], alone.positions[0].astype(np.float64))
     found = [given]
     for word, mend in mends:
@@ -96,7 +98,6 @@ def list_hypotheses(recording: Recording, view: int) -> tuple[Hypothesis, ...]:
         found.append(Hypothesis(word, fixed.cameras[0], pixels, mend=mend))
     if not isinstance(alone.cameras[0], EstimatedCamera):
         found += [
-            replace(given, name="resized", free=("log_scale",)),
             replace(given, name="cropped", free=("x", "y")),
             replace(given, name="focal", free=("log_focal",)),
         ]
@@ -106,9 +107,6 @@ def list_hypotheses(recording: Recording, view: int) -> tuple[Hypothesis, ...]:
 def mend_of(hypothesis: Hypothesis, fit: CameraFit) -> Mend | None:
     """Return the correction of a hypothesis with the unknowns that were found."""
     camera = hypothesis.camera
-    if hypothesis.name == "resized":
-        factor = plain_factor(float(fit.unknowns[0]))
-        return Resized(camera.name, factor) if factor else None
     if hypothesis.name == "cropped":
         x, y = (round(-shift) for shift in fit.unknowns.tolist())
         sigma = float(np.sqrt(np.diag(fit.covariance).max()))
@@ -117,16 +115,6 @@ def mend_of(hypothesis: Hypothesis, fit: CameraFit) -> Mend | None:
         focal = camera.focal * float(np.exp(fit.unknowns[0]))
         return Refocused(camera.name, focal, focal * float(np.sqrt(fit.covariance[0, 0])))
     return hypothesis.mend
-
-
-def plain_factor(log_scale: float) -> float | None:
-    """Return the plain factor (2, 1/2, 2/3, ...) within 12 % of an estimate, None if there is none.
-
-    Videos are resized by plain factors, and an estimate is good to some per cent alone: a change
-    by less is one of the focal length.
-    """
-    nearest = min(PLAIN_FACTORS, key=lambda plain: abs(log_scale - np.log(plain)))
-    return nearest if abs(log_scale - np.log(nearest)) <= 0.12 else None
 
 
 def log_bayes_factor(unknowns: Floats, covariance: Floats, sound: Floats, faulty: Floats) -> float:
@@ -146,8 +134,6 @@ def log_bayes_factor(unknowns: Floats, covariance: Floats, sound: Floats, faulty
 
 def evidence_of_unknowns(hypothesis: Hypothesis, fit: CameraFit, config: DiagnosisConfig) -> float:
     """Return the log evidence (nats) for the unknowns of a hypothesis, not for sound ones."""
-    if hypothesis.name == "resized" and plain_factor(float(fit.unknowns[0])) is None:
-        return -np.inf
     if hypothesis.name != "cropped":
         sound, faulty = np.array([config.sound_focal]), np.array([config.faulty_focal])
         return log_bayes_factor(fit.unknowns, fit.covariance, sound, faulty)

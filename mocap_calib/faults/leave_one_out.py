@@ -13,10 +13,10 @@ from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.refine import adjust_until_stable
 from mocap_calib.adjust.resection import Sightings, exchanged_share, match, sightings_of
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import VERDICT_LIMITS_DEG, Config, DiagnosisConfig
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.hypotheses import log_bayes_factor
-from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.geometry.rotation import nearest_rotation, quarter_turn
 from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.results import CalibrationResult, GroupResult
 from mocap_calib.rig import Observed, gather_tracks, leave_out_underconstrained
@@ -91,7 +91,7 @@ def screen_cameras(
     if len(members) >= 3:
         turned = group.rig.rotation
         odd[members] |= [
-            quarter_turn(own, np.delete(turned, view, axis=0), config.diagnosis) != 0
+            quarter_turn(own, np.delete(turned, view, axis=0), config.diagnosis.upright_deg) != 0
             for view, own in enumerate(turned)
         ]
         keypoints = observed.sample.keypoints
@@ -110,21 +110,6 @@ def _pair_scores(observed: Observed) -> Floats:
         if own.any() and not own.all():
             found[view] = scores[own].mean() / max(float(scores[~own].mean()), 1e-9)
     return found
-
-
-def quarter_turn(rotation: Floats, others: Floats, config: DiagnosisConfig) -> int:
-    """Return the quarter turn (degrees, clockwise) by which a camera's images are rotated, or 0.
-
-    Against the down of the others' images, which must agree among themselves; 0 where they do not,
-    or where any looks up or down. rotation: `[3, 3]`; others: `[view, 3, 3]`.
-    """
-    down = np.array([*others, rotation]) @ others[:, 1].mean(0)
-    x, y, z = down.T
-    *among, own = np.where(np.hypot(x, y) < np.abs(z), np.inf, np.degrees(np.arctan2(-x, y)))
-    if len(others) < 2 or np.abs(among).max() >= config.upright_deg or not np.isfinite(own):
-        return 0
-    quarters = round(own / 90)
-    return 90 * quarters % 360 if abs(own - 90 * quarters) < config.upright_deg else 0
 
 
 def differs(held: Held, keypoints: tuple[str, ...], settings: Config) -> bool:

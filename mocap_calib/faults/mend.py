@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.config import DECISIVE_NATS, EPOCH_MARK, Config
+from mocap_calib.config import DECISIVE_NATS, EPOCH_MARK, VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.compare import Alternative, find_faulty_cameras
 from mocap_calib.faults.hypotheses import clock_faults, describe
@@ -20,7 +20,7 @@ from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.recording.corrections import Exchanged, Sides, apply_mends
 from mocap_calib.results import VERDICTS, CalibrationResult, Clocks, Fault, GroupResult, Mend
 from mocap_calib.rig import Observed
-from mocap_calib.types import CameraClock, Recording
+from mocap_calib.types import CameraClock, Floats, Recording
 from mocap_calib.verdict.checks import report_frames, residuals_of
 
 # what was known before the rigs of a recording were built, and all that was found
@@ -102,7 +102,8 @@ def _try_correction(
 ) -> tuple[tuple[Fault, ...], Calibrated] | None:
     """Return new faults and the calibration with them corrected, None where it explains no more.
 
-    Nor where the corrected rig is not determined: what is said of a camera rests on the others.
+    Nor where the detections do not determine the corrected rig: what is said of a camera rests on
+    the others.
     """
     try:
         corrected = calibrate(apply_mends(recording, mends_of((*known, *new))))
@@ -112,9 +113,13 @@ def _try_correction(
             corrected = calibrate(apply_mends(recording, mends_of((*known, *new))))
     except DegenerateError:
         return None
-    if corrected[1].groups[0].verdict == VERDICTS[-1]:
+    sigma = corrected[1].groups[0].uncertainty.covariance.rotation_sigma.max()
+    if not np.rad2deg(sigma) < VERDICT_LIMITS_DEG[-1]:
         return None
-    before, after = _explained_shares(recording, [calibrated, corrected])
+    errors = _errors_of([calibrated, corrected])
+    if not _fits(new, errors[1], corrected[1]):
+        return None
+    before, after = _explained_shares(recording, errors)
     nats = min(float(fault.evidence["nats"]) for fault in new)
     confirmed = nats + _NATS_OF_ALL * (after - before) > DECISIVE_NATS
     return (new, corrected) if confirmed else None
@@ -171,20 +176,41 @@ def log_spread(observed: Observed, camera: str) -> float:
     return float(np.median(np.log(np.nanmean(spread[lifted] ** 2, axis=-1))) / 2)
 
 
-def _explained_shares(recording: Recording, results: Sequence[Calibrated]) -> list[float]:
-    """Return the share (0..1) of all detected keypoints that each of some results explains.
+def _errors_of(results: Sequence[Calibrated]) -> list[Floats]:
+    """Return the distances of keypoints from their triangulated points, of each of some results.
 
-    A keypoint counts 1 / (1 + (e / width)^2), e being its distance from its triangulated point in
-    focal lengths, and nothing where it is unmatched or its camera is left out. The width is the
-    median distance of the result with the smallest: a loose one makes all results look alike.
-
-    recording: as it was handed in, with what lenses cannot undo before they are corrected.
+    `[keypoint, individual, frame, view]`, NaN = missing; in the focal lengths of the first result,
+    whatever is corrected of them.
     """
     focal = {camera.name: camera.focal for camera in results[0][0].recording.cameras}
     errors = []
     for _, result in results:
         own = [focal.get(each.name, each.focal) for each in result.groups[0].rig.cameras]
         errors.append(residuals_of(result.groups[0]).distance.T / own)
+    return errors
+
+
+def _fits(faults: Sequence[Fault], errors: Floats, result: CalibrationResult) -> bool:
+    """Return whether cameras that were corrected are in the rig, and no outliers there."""
+    names = [name.partition(EPOCH_MARK)[0] for name in result.groups[0].rig.names]
+    own, factor = {fault.camera for fault in faults}, result.config.uncertainty.outlier_factor
+    corrected = np.array([name in own for name in names])
+    if not own <= set(names) or corrected.all():
+        return own <= set(names)
+    of_others = factor * np.nanmedian(errors[..., ~corrected])
+    return all(np.nanmedian(errors[..., view]) < of_others for view in np.flatnonzero(corrected))
+
+
+def _explained_shares(recording: Recording, errors: Sequence[Floats]) -> list[float]:
+    """Return the share (0..1) of all detected keypoints that each of some results explains.
+
+    A keypoint counts 1 / (1 + (e / width)^2), e being its error, and nothing where it is unmatched
+    or its camera is left out. The width is the median error of the result with the smallest: a
+    loose one makes all results look alike.
+
+    recording: as it was handed in, with what lenses cannot undo before they are corrected. errors:
+        as of `_errors_of`.
+    """
     width = min(float(np.nanmedian(error)) for error in errors)
     detected = max(int(recording.select(frames=report_frames(recording)).seen.sum()), 1)
     return [float(np.nansum(1 / (1 + (error / width) ** 2))) / detected for error in errors]

@@ -247,3 +247,19 @@ def body_size(points: Floats) -> float:
         if enough.any():
             return float(np.median(size[enough]))
     return float("nan")
+
+
+def quarter_turn(rotation: Floats, others: Floats, upright_deg: float) -> int:
+    """Return the quarter turn (degrees, clockwise) by which a camera's images are rotated, or 0.
+
+    Against the down of the others' images, which must agree among themselves; 0 where they do not,
+    or where any looks up or down. rotation: `[3, 3]`; others: `[view, 3, 3]`. upright_deg: by which
+    upright cameras roll at most.
+    """
+    down = np.array([*others, rotation]) @ others[:, 1].mean(0)
+    x, y, z = down.T
+    *among, own = np.where(np.hypot(x, y) < np.abs(z), np.inf, np.degrees(np.arctan2(-x, y)))
+    if np.abs(among).max() >= upright_deg or not np.isfinite(own):
+        return 0
+    quarters = round(own / 90)
+    return 90 * quarters % 360 if abs(own - 90 * quarters) < upright_deg else 0
