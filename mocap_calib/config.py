@@ -305,9 +305,10 @@ class PosesConfig:
     largest_sigma: float = 0.15
 
 
-# expected rotation errors of the least certain camera, in degrees: below the first a rig is well
-# determined, below the second usable, below the third weak
+# rotation errors of the least certain camera, in degrees, below which 95 % lie: below the first a
+# rig is well determined, below the second usable, below the third weak
 VERDICT_LIMITS_DEG = (1.0, 3.0, 10.0)
+OF_95_PERCENT = 1.6  # root of the 95 % quantile of chi-square with 3 degrees of freedom, over 3
 
 
 @dataclass(frozen=True)
@@ -328,6 +329,11 @@ class UncertaintyConfig:
     # The same of a given principal point, as calibrations by a board leave it. No residual shows
     # more: of HumanEva's three cameras one may be off by 8 % (4 degrees) with equal errors.
     given_principal_point: float = 0.005
+    # One that is far from the middle may be that of other images, cropped or resized since: a share
+    # of all, and their standard deviation beside that of lenses (5 % and more in 4 of 22 rigs).
+    mistaken_share: float = 0.04
+    mistaken_principal_point: float = 0.1
+    usual_principal_point: float = 0.025
     # An outlier camera has so many times the errors of the others, and half as many those of the
     # best quarter. Measured: 1 to 2.6 where the cameras agree, 3.8 between telescopes, 5 to 18
     # where one is out of step. No error counts for more in the misfit of a rig.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib import mapped
-from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config
+from mocap_calib.config import EPOCH_MARK, OF_95_PERCENT, VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import Spell, count, spell_arguments, spell_in_python
 from mocap_calib.types import (
     Bools,
@@ -401,7 +401,7 @@ class Cause:
     @property
     def passed(self) -> bool:
         """Whether it stands for no more than what a well determined rig may have."""
-        return not self.error_deg > VERDICT_LIMITS_DEG[0]
+        return not OF_95_PERCENT * self.error_deg > VERDICT_LIMITS_DEG[0]
 
 
 @dataclass(frozen=True)
@@ -426,21 +426,26 @@ class Verdict:
     def reasons(self) -> tuple[Cause, ...]:
         """Why the rig is no better, and what to do about it, the largest cause first.
 
-        Of each kind the largest, from half a degree on. Of a well determined rig there are none.
+        Of each kind the largest, from half of what a well determined rig may have on, of which
+        there are none.
         """
         if self.word == VERDICTS[0]:
             return ()
+        least = VERDICT_LIMITS_DEG[0]
         largest = {cause.name: cause for cause in reversed(self.causes)}
         return tuple(
             cause
             for cause in self.causes
-            if cause is largest[cause.name] and cause.error_deg >= VERDICT_LIMITS_DEG[0] / 2
+            if cause is largest[cause.name] and 2 * OF_95_PERCENT * cause.error_deg >= least
         )
 
 
 def word_of_error(degrees: float) -> VerdictWord:
-    """Return the verdict on a rig whose least certain camera is expected to be off by so much."""
-    return VERDICTS[int(np.searchsorted(VERDICT_LIMITS_DEG, degrees, side="right"))]
+    """Return the verdict on a rig whose least certain camera is expected to be off by so much.
+
+    95 % of the errors are below its limit.
+    """
+    return VERDICTS[int(np.searchsorted(VERDICT_LIMITS_DEG, OF_95_PERCENT * degrees, side="right"))]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -221,6 +221,8 @@ class Camera(Record):
     matrix: `[3, 3]`; pixel centres are integers (OpenCV).
     distortion: `[4 | 5 | 8]` OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or `[4]` of cv2.fisheye when
         `fisheye` is set; none where it is left out.
+    centre_sigma: standard deviation of the principal point along each axis in pixels; None = not
+        stated.
     """
 
     name: str
@@ -228,6 +230,7 @@ class Camera(Record):
     matrix: Floats
     distortion: Floats = field(default_factory=lambda: np.zeros(5))
     fisheye: bool = False
+    centre_sigma: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         self._copy(f"camera {self.name}", "matrix", float, 3, 3)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mocap_calib.compute.parallel import do_in_threads
-from mocap_calib.config import LENS_MISS_PX
+from mocap_calib.config import LENS_MISS_PX, UncertaintyConfig
 from mocap_calib.kernels import lens as kernels
 from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Reals, as_array
@@ -37,6 +37,24 @@ class Slopes(NamedTuple):
     image: Floats
     log_focal: Floats
     k1: Floats
+
+
+def centre_sigma(camera: Camera, config: UncertaintyConfig) -> float:
+    """Return the standard deviation of a given principal point along each axis, in pixels.
+
+    The one that is stated. Else that of a calibration by a board, and the distance from the middle
+    of the image with the probability that it belongs to other images: a mixture of two priors.
+    """
+    if camera.centre_sigma is not None:
+        return camera.centre_sigma
+    size = np.array(camera.size) if all(camera.size) else 2 * camera.matrix[:2, 2] + 1
+    longer = float(size.max())
+    far = np.linalg.norm(camera.matrix[:2, 2] - (size - 1) / 2) / longer
+    usual, mistaken = config.usual_principal_point, config.mistaken_principal_point
+    right = (1 - config.mistaken_share) * np.exp(-((far / usual) ** 2) / 2) / usual**2
+    wrong = config.mistaken_share * np.exp(-((far / mistaken) ** 2) / 2) / mistaken**2
+    share = wrong / (right + wrong)
+    return float(longer * np.sqrt(config.given_principal_point**2 + share * far**2 / 2))
 
 
 def rows(cameras: Sequence[Camera]) -> Floats:

@@ -13,8 +13,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mocap_calib.config import EPOCH_MARK
+from mocap_calib.config import EPOCH_MARK, UncertaintyConfig
 from mocap_calib.errors import MismatchError, argument
+from mocap_calib.geometry.lens import centre_sigma
 from mocap_calib.recording.joints import side_pairs
 from mocap_calib.results import FaultWord, Mend
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera, Ints, Recording
@@ -156,7 +157,9 @@ class Resized:
         matrix[:2] *= self.factor
         matrix[:2, 2] += (self.factor - 1) / 2  # pixel centres are integers
         width, height = (round(self.factor * length) for length in camera.size)
-        return _with_camera(recording, replace(camera, size=(width, height), matrix=matrix))
+        sigma = camera.centre_sigma and self.factor * camera.centre_sigma
+        resized = replace(camera, size=(width, height), matrix=matrix, centre_sigma=sigma)
+        return _with_camera(recording, resized)
 
 
 @dataclass(frozen=True)
@@ -178,7 +181,10 @@ class Cropped:
         camera = recording.cameras[find_view(recording, self.camera)]
         matrix = camera.matrix.copy()
         matrix[:2, 2] -= (self.x, self.y)
-        return _with_camera(recording, replace(camera, matrix=matrix))
+        sigma = float(
+            np.hypot(centre_sigma(camera, UncertaintyConfig()), self.sigma)
+        )  # as of the whole image
+        return _with_camera(recording, replace(camera, matrix=matrix, centre_sigma=sigma))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ its covariance, what is not known of given intrinsics, each check of the residua
 that the recording leaves open. docs/how-good.md has the rule in words.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,12 +24,16 @@ from mocap_calib.adjust.refine import (
 )
 from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config, UncertaintyConfig
-from mocap_calib.errors import DegenerateError, argument, count
+from mocap_calib.config import (
+    EPOCH_MARK,
+    VERDICT_LIMITS_DEG,
+    Config,
+    UncertaintyConfig,
+)
+from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import rig_change, rig_size
 from mocap_calib.pairs.solve import in_recording
-from mocap_calib.recording.corrections import Cropped
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.results import (
     Adjusted,
@@ -59,10 +63,15 @@ from mocap_calib.types import (
     Sample,
     silent,
 )
-from mocap_calib.verdict.checks import OPEN_DEG, check_rig
-
-_SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
-_HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected
+from mocap_calib.verdict.causes import (
+    left_open,
+    other_answers,
+    resized_images,
+    uncertain_cameras,
+    uncertain_principal_points,
+    unchecked_by_a_third_camera,
+)
+from mocap_calib.verdict.checks import check_rig
 
 
 def judge(result: CalibrationResult) -> CalibrationResult:
@@ -89,10 +98,13 @@ def assess(
 ) -> Verdict:
     """Return the verdict on the rig of a group. checks: of the group, as of `check_rig`."""
     causes = [
-        *_covariance(group, config),
-        *_principal_points(group, faults, config.uncertainty),
+        *uncertain_cameras(group, config),
+        *uncertain_principal_points(group, faults, config.uncertainty),
         *(check for check in checks if check.error_deg > 0),
-        *_left_open(group, faults, clocks),
+        *left_open(group, checks, faults, clocks),
+        *other_answers(group),
+        *unchecked_by_a_third_camera(group, config),
+        *resized_images(group, config),
     ]
     causes.sort(key=lambda cause: -cause.error_deg)
     return Verdict(expected_error(group.rig.names, causes), tuple(causes), checks)
@@ -177,87 +189,6 @@ def conclude_without_pairs(
     )
 
 
-def _covariance(group: GroupResult, config: Config) -> Iterator[Cause]:
-    """Yield the standard deviation of each camera, with what would lower it."""
-    sigma = np.rad2deg(group.uncertainty.covariance.rotation_sigma)
-    turn = np.rad2deg(group.uncertainty.intrinsics_turn)
-    estimated = any(isinstance(camera, EstimatedCamera) for camera in group.rig.cameras)
-    for view, name in enumerate(group.rig.names):
-        meaning = f"{name}: rotation +-{sigma[view]:.1f} deg"
-        if 2 * turn[view] ** 2 <= sigma[view] ** 2:
-            remedy = _remedy(group, view, config) if view == sigma.argmax() else "record longer"
-        elif estimated:
-            meaning += ", mostly because its intrinsics were estimated"
-            remedy = f"give intrinsics with {argument('cameras')}"
-        else:
-            meaning += ", mostly because of its focal length"
-            remedy = "calibrate the intrinsics again, or run again with " + argument(
-                "refine", "focal"
-            )
-        yield Cause("covariance", name, float(sigma[view]), meaning, remedy)
-
-
-def _principal_points(
-    group: GroupResult, faults: Sequence[Fault], config: UncertaintyConfig
-) -> Iterator[Cause]:
-    """Yield what is not known of each principal point, about both axes: no residual shows it.
-
-    What is wrong with joints moves the corner of a cropped image: it is known no better than where
-    an image is taken to have its middle.
-    """
-    crops = {
-        fault.camera: (fault.says, fault.mend.sigma)
-        for fault in faults
-        if isinstance(fault.mend, Cropped)
-    }
-    for camera in group.rig.cameras:
-        beside = np.abs(camera.matrix[:2, 2] - (np.array(camera.size) - 1) / 2).max()
-        sigma = config.principal_point * max(camera.size)
-        meaning = "its principal point is assumed in the middle of the image"
-        remedy = f"give intrinsics with {argument('cameras')}"
-        if camera.name in crops:
-            says, corner = crops[camera.name]
-            sigma = float(np.hypot(sigma, corner))
-            meaning = f"its crop was estimated ({says})"
-            remedy = f"undo it, or state it with {argument('crop_offset')}"
-        elif not isinstance(camera, EstimatedCamera) or beside > _SAME_POINT:
-            sigma = config.given_principal_point * max(camera.size)
-            share = f"{config.given_principal_point:.1%}"
-            meaning = f"its principal point is known to {share} of the image at best"
-            remedy = "calibrate its intrinsics with a board"
-        turn = float(np.rad2deg(np.sqrt(2) * sigma / camera.focal))
-        meaning = f"{camera.name}: rotation +-{turn:.1f} deg, because {meaning}"
-        yield Cause("principal point", camera.name, turn, meaning, remedy)
-
-
-def _left_open(
-    group: GroupResult, faults: Sequence[Fault], clocks: Clocks | None
-) -> Iterator[Cause]:
-    """Yield what may be wrong by any angle: what nothing determines, and what was not corrected."""
-    names, cameras = group.rig.names, group.rig.cameras
-    if group.adjusted.depth_reversed_rig is not None:
-        remedy = "move the cameras closer, or use shorter lenses"
-        yield Cause("depth", "", OPEN_DEG, "a rig reversed in depth fits as well", remedy)
-    if len(cameras) == 2 and all(isinstance(each, EstimatedCamera) for each in cameras):
-        meaning = "the intrinsics of both cameras were estimated, and no third camera checks them"
-        remedy = f"give intrinsics with {argument('cameras')}, or add a camera"
-        yield Cause("intrinsics", "", OPEN_DEG, meaning, remedy)
-    own = {name.partition(EPOCH_MARK)[0] for name in names}
-    for fault in faults:
-        if fault.camera in own and fault.mend is None and fault.word in _HARMFUL:
-            meaning = f"{fault.camera}: {fault.says}, which was not corrected"
-            yield Cause(fault.word, fault.camera, OPEN_DEG, meaning, "correct its files")
-    for name in np.array(names)[group.uncertainty.outlier_cameras].tolist():
-        meaning = f"{name}: it contradicts the other cameras, and no correction was found"
-        remedy = "check its keypoints, its clock and its intrinsics"
-        yield Cause("inconsistent", name, OPEN_DEG, meaning, remedy)
-    for clock in () if clocks is None or clocks.changed else clocks.cameras:
-        if clock.differs:
-            meaning = f"{clock.camera}: it is on another clock, which was not corrected"
-            remedy = f"use {argument('sync', 'auto')}"
-            yield Cause("clock", clock.camera, OPEN_DEG, meaning, remedy)
-
-
 def _certain_outliers(group: GroupResult, config: Config) -> GroupResult:
     """Return the group with outlier cameras only where the others are consistent.
 
@@ -273,17 +204,6 @@ def _certain_outliers(group: GroupResult, config: Config) -> GroupResult:
     elif 2 * known.outlier_cameras.sum() >= len(none) or uncertain:
         known = replace(known, outlier_cameras=none)
     return replace(group, uncertainty=known)
-
-
-def _remedy(group: GroupResult, worst: int, config: Config) -> str:
-    """Return what would determine a camera (index) better."""
-    frames = len(labelled_frames(group.matches))
-    name = group.rig.names[worst]
-    if frames < config.uncertainty.time_blocks:
-        return f"record longer: bodies are matched in {count(frames, 'frame')} only"
-    if group.uncertainty.weak_perspective[worst]:
-        return f"let the subject come closer to {name}, which is far away for the size of a body"
-    return f"let the subject walk about for longer, near {name} and in view of other cameras"
 
 
 # --- what keypoints leave uncertain

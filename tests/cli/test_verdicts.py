@@ -21,7 +21,7 @@ FILES = {"cameras.yaml", "calibration.toml", "matches.csv", "poses3d.h5", "run.j
 
 def judged(result: mc.CalibrationResult, *verdicts: str) -> mc.CalibrationResult:
     """The result with a group of each verdict."""
-    degrees = dict(zip(VERDICTS, (0.5, 2.0, 5.0, 20.0), strict=True))
+    degrees = dict(zip(VERDICTS, (0.5, 1.5, 5.0, 20.0), strict=True))
     groups = (
         replace(
             result.groups[0],

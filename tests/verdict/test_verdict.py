@@ -27,8 +27,9 @@ from scenes import (
 
 import mocap_calib as mc
 from mocap_calib.adjust.covariance import rig_covariance
-from mocap_calib.config import Config
-from mocap_calib.geometry.rotation import rig_change
+from mocap_calib.config import OF_95_PERCENT, Config
+from mocap_calib.geometry.lens import centre_sigma
+from mocap_calib.geometry.rotation import matrix_from_vector, rig_change
 from mocap_calib.results import (
     Cause,
     Clocks,
@@ -37,8 +38,13 @@ from mocap_calib.results import (
     Verdict,
 )
 from mocap_calib.types import CameraClock, EstimatedCamera
+from mocap_calib.verdict.causes import likely_scale
 from mocap_calib.verdict.checks import CHECKS, OPEN_DEG, check_rig
-from mocap_calib.verdict.verdict import assess_uncertainty, expected_error, judge
+from mocap_calib.verdict.verdict import (
+    assess_uncertainty,
+    expected_error,
+    judge,
+)
 
 SETTINGS = Config().uncertainty
 
@@ -102,8 +108,14 @@ def uncertainty(
         (np.nan, "not determined"),
     ],
 )
-def test_the_expected_error_decides(degrees, word):
-    assert Verdict(degrees).word == word
+def test_95_percent_of_the_errors_are_below_the_limit_of_a_verdict(degrees, word):
+    assert Verdict(degrees / OF_95_PERCENT).word == word
+
+
+def test_95_percent_of_errors_of_three_numbers_are_below_their_root_mean_square_times_1_6():
+    """That of the isotropic case; errors about one axis alone: 1.96."""
+    errors = np.linalg.norm(np.random.default_rng(0).normal(size=(100_000, 3)), axis=1)
+    assert np.quantile(errors, 0.95) / np.sqrt(3) == pytest.approx(OF_95_PERCENT, abs=0.02)
 
 
 def cause(degrees: float, camera: str = "", name: str = "errors") -> Cause:
@@ -129,10 +141,10 @@ def test_of_each_kind_the_largest_cause_is_a_reason():
         cause(1.2, "a"),
         cause(0.9, "b"),
         cause(0.6, "a", "covariance"),
-        cause(0.4, "a", "over time"),
+        cause(0.3, "a", "over time"),
     )
     assert Verdict(1.5, causes).reasons == (causes[0], causes[2])
-    assert Verdict(0.9, causes).reasons == ()
+    assert Verdict(0.6, causes).reasons == ()
 
 
 def test_the_sigma_of_a_pair_follows_from_that_of_its_cameras():
@@ -207,7 +219,7 @@ def test_a_fault_makes_a_rig_weak_where_it_is_not_corrected(word, mend, verdict)
     fault = mc.Fault("cam1", word, "it is wrong", mend=mend)
     found = judged(sound(), faults=(fault,))
     assert found.verdict == verdict
-    assert all("it is wrong" in reason.meaning for reason in found.reasons)
+    assert all("it is wrong" in reason.meaning for reason in found.reasons[:1])
 
 
 def test_a_clock_that_is_not_corrected_makes_a_rig_weak():
@@ -224,35 +236,52 @@ def test_a_rig_that_may_be_reversed_in_depth_is_weak():
 
 
 @pytest.mark.parametrize(
-    ("estimated", "beside", "corner", "share"),
+    ("estimated", "beside", "stated", "share"),
     [
         (False, 0.0, None, SETTINGS.given_principal_point),
         (True, 5.0, None, SETTINGS.given_principal_point),  # it was given
         (True, 0.5, None, SETTINGS.principal_point),  # readers differ by half a pixel
-        (False, 0.0, 0.024, 0.03),  # of a cropped image: both, in squares
+        (False, 0.0, 0.024, 0.024),  # it is stated
     ],
 )
-def test_what_is_not_known_of_a_principal_point_turns_its_camera(estimated, beside, corner, share):
+def test_what_is_not_known_of_a_principal_point_turns_its_camera(estimated, beside, stated, share):
     camera = sound().recording.cameras[0]
     matrix, width = camera.matrix.copy(), max(camera.size)
     matrix[:2, 2] = (np.array(camera.size) - 1) / 2 + [beside, 0]
-    camera = replace(camera, matrix=matrix)
+    camera = replace(camera, matrix=matrix, centre_sigma=stated and stated * width)
     if estimated:
         camera = EstimatedCamera.of(camera, focal_sigma=1.0, k1_sigma=0.0)
     rig = replace(sound().rig, cameras=(camera, *sound().rig.cameras[1:]))
     group = replace(sound(), adjusted=replace(sound().adjusted, rig=rig))
-    crop = None if corner is None else mc.Cropped("cam1", 0.0, 0.0, corner * width)
-    faults = () if crop is None else (mc.Fault("cam1", "cropped", "it is", mend=crop),)
-    found = next(
-        each for each in causes_of(group, "principal point", faults=faults) if each.camera == "cam1"
-    )
-    if corner is not None:
-        share = np.hypot(corner, SETTINGS.principal_point)
-    assert found.error_deg == pytest.approx(np.rad2deg(np.sqrt(2) * share * width / camera.focal))
+    found = next(each for each in causes_of(group, "principal point") if each.camera == "cam1")
+    expected = np.rad2deg(np.sqrt(2) * share * width / camera.focal)
+    assert found.error_deg == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize(("cameras", "given", "open_"), [(2, 0, 1), (2, 1, 0), (3, 0, 0)])
-def test_no_third_camera_checks_the_intrinsics_of_two(cameras, given, open_):
+@pytest.mark.parametrize(
+    ("beside", "least", "most"),
+    [(0.0, 0.0, 0.01), (0.02, 0.0, 0.1), (0.05, 0.1, 0.3), (0.1, 0.9, 1.0), (0.2, 0.99, 1.0)],
+)
+def test_a_principal_point_far_from_the_middle_may_belong_to_other_images(beside, least, most):
+    """Its standard deviation, over its distance from the middle: the root of the probability."""
+    camera = sound().recording.cameras[0]
+    matrix, width = camera.matrix.copy(), max(camera.size)
+    matrix[:2, 2] = (np.array(camera.size) - 1) / 2 + [beside * width, 0]
+    sigma = centre_sigma(replace(camera, matrix=matrix), SETTINGS) / width
+    excess = np.sqrt(2 * (sigma**2 - SETTINGS.given_principal_point**2))
+    assert least <= excess / max(beside, 1e-9) <= most
+
+
+def test_a_crop_that_is_stated_is_no_principal_point_far_from_the_middle():
+    recording, width = sound().recording, max(sound().recording.cameras[0].size)
+    cropped = mc.Cropped("cam1", 0.3 * width, 0.0).apply(recording).cameras[0]
+    assert centre_sigma(cropped, SETTINGS) == centre_sigma(recording.cameras[0], SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "given", "error"), [(2, 0, OPEN_DEG), (2, 1, 1.0), (2, 2, 1.0), (3, 0, 0.0)]
+)
+def test_no_third_camera_checks_the_intrinsics_of_two(cameras, given, error):
     group = calibrated(cameras=cameras, people=1, frames=30)
     estimated = [
         EstimatedCamera.of(each, focal_sigma=1.0, k1_sigma=0.0)
@@ -261,7 +290,56 @@ def test_no_third_camera_checks_the_intrinsics_of_two(cameras, given, open_):
     known = (*group.recording.cameras[:given], *estimated)
     rig = replace(group.rig, cameras=known)
     group = replace(group, adjusted=replace(group.adjusted, rig=rig))
-    assert len(causes_of(group, "intrinsics")) == open_
+    assert sum(each.error_deg for each in causes_of(group, "intrinsics")) == error
+
+
+def two_cameras(**fields) -> mc.GroupResult:
+    group = calibrated(cameras=2, people=1, frames=30)
+    pairs = tuple(replace(pair, **fields) for pair in group.pairs)
+    return replace(group, pairs=pairs)
+
+
+@pytest.mark.parametrize(
+    ("fields", "verdict"),
+    [({}, "usable"), ({"in_front": 0.65}, "not determined"), ({"score": 0.3}, "not determined")],
+)
+def test_of_two_cameras_the_score_of_their_pair_decides(fields, verdict):
+    assert judged(two_cameras(**fields)).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("turned", "score", "verdict"),
+    [(90.0, 1.0, "not determined"), (90.0, 0.8, "usable"), (5.0, 1.0, "usable")],
+)
+def test_another_answer_that_fits_as_well_leaves_a_rig_open(turned, score, verdict):
+    """score: of the other answer, as a share of that of the answer."""
+    (pair,) = two_cameras().pairs
+    rotation = matrix_from_vector(np.deg2rad([0.0, turned, 0.0])) @ pair.rotation
+    other = replace(pair, rotation=rotation, score=score * pair.score)
+    assert judged(two_cameras(alternatives=(other,))).verdict == verdict
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2])
+def test_images_of_one_of_two_cameras_may_be_turned(quarters):
+    group = calibrated(cameras=2, people=1, frames=30)
+    rotation = group.rig.rotation.copy()
+    rotation[1] = matrix_from_vector(np.array([0.0, 0.0, quarters * np.pi / 2])) @ rotation[1]
+    rig = replace(group.rig, rotation=rotation)
+    found = causes_of(replace(group, adjusted=replace(group.adjusted, rig=rig)), "rotated")
+    assert [each.error_deg for each in found] == ([] if quarters == 0 else [90.0 * quarters])
+
+
+def test_the_likeliest_scale_of_images_is_told_by_where_keypoints_lie():
+    """Keypoints about the middle of images of 1000 x 800, and of the same at half size."""
+    camera = mc.Camera("c", (1000, 800), np.diag([900.0, 900.0, 1.0]))
+    pixels = np.random.default_rng(0).uniform((150, 150), (800, 600), size=(500, 2))
+    assert likely_scale([camera], [pixels], SETTINGS)[1] < 0.01
+    factor, share = likely_scale([camera], [pixels / 2], SETTINGS)
+    assert factor == 0.5
+    assert share > 0.03
+    # the evidence of cameras adds up
+    assert likely_scale([camera] * 4, [pixels] * 4, SETTINGS)[1] < 1e-4
+    assert likely_scale([camera] * 4, [pixels / 2] * 4, SETTINGS)[1] > 0.9
 
 
 # --- checks
@@ -312,7 +390,7 @@ def test_detections_to_one_side_in_a_stretch_of_time_are_seen(share, matched, se
 
 
 def test_a_check_without_a_value_does_not_fail():
-    assert [cause(each).passed for each in (np.nan, 0.9, 1.1)] == [True, True, False]
+    assert [cause(each).passed for each in (np.nan, 0.6, 0.7)] == [True, True, False]
 
 
 def test_errors_to_all_sides_are_seen_by_their_median():
