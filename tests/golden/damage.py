@@ -1,8 +1,9 @@
 """Damage to a file's bytes: what disks, editors and other programs do to files.
 
 Four kinds are always the same: cut in half, emptied, a number of another type, a part missing. They
-know JSON, TOML, YAML, tables, HDF5, .npz and .mat by content. `damaged(content, rng)` gives one way
-of many, by what the file is: a store, a tree, a table or bytes.
+know JSON, TOML, YAML, tables, HDF5, .npz and .mat by content; other text loses a line.
+`damaged(content, rng)` gives one way of many, by what the file is: a store, a tree, a table or
+bytes.
 """
 
 import io
@@ -94,9 +95,10 @@ def _without_middle_cell(line: str, separator: str) -> str:
 
 
 def _without_middle_key(text: str) -> str:
-    """Return TOML or YAML without one key and the lines of its value."""
+    """Return TOML or YAML without one key and its lines, other text without one line."""
     lines = _lines(text)
     keys = [k for k, line in enumerate(lines) if _KEY.match(line)]
+    keys = keys if len(keys) > 1 else list(range(len(lines)))
     middle = len(keys) // 2
     return "".join(lines[: keys[middle]] + lines[keys[middle + 1] :])
 
