@@ -331,9 +331,11 @@ class UncertaintyConfig:
     given_principal_point: float = 0.005
     # One that is far from the middle may be that of other images, cropped or resized since: a share
     # of all, and their standard deviation beside that of lenses (5 % and more in 4 of 22 rigs).
+    # Where a user says how well it is known, in longer sides of the image, neither counts.
     mistaken_share: float = 0.04
     mistaken_principal_point: float = 0.1
     usual_principal_point: float = 0.025
+    centre_uncertainty: float | None = None
     # An outlier camera has so many times the errors of the others, and half as many those of the
     # best quarter. Measured: 1 to 2.6 where the cameras agree, 3.8 between telescopes, 5 to 18
     # where one is out of step. No error counts for more in the misfit of a rig.

@@ -24,6 +24,7 @@ from mocap_calib.config import (
     PosesConfig,
     ScaleCue,
     SyncConfig,
+    UncertaintyConfig,
     ViewGraphConfig,
     WorldConfig,
 )
@@ -139,6 +140,7 @@ def calibration_request(typed: Typed, output: Path) -> CalibrationRequest:
             sync=sync_config(typed),
             world=world,
             poses=PosesConfig(smooth=typed.smooth),
+            uncertainty=UncertaintyConfig(centre_uncertainty=typed.centre_uncertainty),
         ),
         formats=typed.write,
         fps=fps,

@@ -24,6 +24,8 @@ cameras: File or folder with the cameras' intrinsics, in any format of docs/form
     stdin.
 refine: What of the intrinsics is estimated with the rig: none, focal (length), or focal+k1 (and the
     first coefficient of the lens). [default: none, without --cameras focal+k1]
+centre_uncertainty: How well the principal points in INTRINSICS are known, as 0.2% of the longer
+    image side. [default: 0.5%, and less where they are far from the middle of the image]
 focal_uncertainty: How good the focal lengths in INTRINSICS are, as 5%; they are estimated within
     it. [default: 50%]
 focal_per_camera: Estimate the intrinsics of each camera by itself. [default: cameras of equal image
@@ -101,7 +103,7 @@ VERDICT = ("strict", "accept")
 SCALE = ("height", "length", "camera_distance")
 # how a recording is calibrated, and what is written of it
 CALIBRATION = (
-    *("refine", "focal_uncertainty", "focal_per_camera"),
+    *("centre_uncertainty", "refine", "focal_uncertainty", "focal_per_camera"),
     *MODEL,
     *("individuals", "pairs", "solver", "seed", "scheduler"),
     *READING,
@@ -208,6 +210,7 @@ _ALL: tuple[click.Parameter, ...] = (
     option("--moved", values.MOVED, multiple=True),
     option("--mend", MENDING, default=MENDING[0]),
     option("--cameras", values.INTRINSICS, required=True, metavar="INTRINSICS"),
+    option("--centre-uncertainty", values.PERCENTAGE),
     option("--refine", REFINEMENTS, metavar="WHAT"),
     option("--focal-uncertainty", values.PERCENTAGE),
     option("--focal-per-camera"),

@@ -49,6 +49,8 @@ def centre_sigma(camera: Camera, config: UncertaintyConfig) -> float:
         return camera.centre_sigma
     size = np.array(camera.size) if all(camera.size) else 2 * camera.matrix[:2, 2] + 1
     longer = float(size.max())
+    if config.centre_uncertainty is not None:
+        return config.centre_uncertainty * longer
     far = np.linalg.norm(camera.matrix[:2, 2] - (size - 1) / 2) / longer
     usual, mistaken = config.usual_principal_point, config.mistaken_principal_point
     right = (1 - config.mistaken_share) * np.exp(-((far / usual) ** 2) / 2) / usual**2

@@ -73,7 +73,8 @@ def uncertain_principal_points(
             sigma = centre_sigma(camera, config)
             share = sigma / max(camera.size, default=1)
             meaning = f"its principal point is known to {share:.1%} of the image"
-            remedy = "calibrate its intrinsics with a board, of images of the same size"
+            remedy = "calibrate its intrinsics with a board, of images of the same size, or state "
+            remedy += f"how well it is known with {argument('centre_uncertainty')}"
         turn = float(np.rad2deg(np.sqrt(2) * sigma / camera.focal))
         meaning = f"{camera.name}: rotation +-{turn:.1f} deg, because {meaning}"
         yield Cause("principal point", camera.name, turn, meaning, remedy)

@@ -13,6 +13,7 @@ ODD = "1:30"
 VALUES: dict[str, str | list[str]] = {
     "cameras": "intrinsics.toml",
     "refine": "focal+k1",
+    "centre-uncertainty": "0.2%",
     "focal-uncertainty": "7%",
     "focal-per-camera": "true",
     "skeleton": "mine.yaml",

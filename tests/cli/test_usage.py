@@ -197,7 +197,7 @@ FILES = ["file,"]
     ("line", "some", "others"),
     [
         ("ev", "evaluate", None),
-        ("run --c", "--cameras --camera-regex --camera-distance --crop-offset --config", None),
+        ("run --ca", "--cameras --camera-regex --camera-distance", None),
         ("run x --format deep", "deeplabcut-h5 deeplabcut-csv", None),
         ("verify x --format coc", "coco coco-results", None),
         ("inspect x --layout body_25", "body_25 body_25b", None),

@@ -272,6 +272,14 @@ def test_a_principal_point_far_from_the_middle_may_belong_to_other_images(beside
     assert least <= excess / max(beside, 1e-9) <= most
 
 
+def test_a_user_may_say_how_well_principal_points_are_known():
+    camera = sound().recording.cameras[0]
+    far = camera.matrix + [[0, 0, 0.2 * camera.size[0]], [0, 0, 0], [0, 0, 0]]
+    stated = replace(SETTINGS, centre_uncertainty=0.001)
+    found = centre_sigma(replace(camera, matrix=far), stated)
+    assert found == pytest.approx(0.001 * max(camera.size))
+
+
 def test_a_crop_that_is_stated_is_no_principal_point_far_from_the_middle():
     recording, width = sound().recording, max(sound().recording.cameras[0].size)
     cropped = mc.Cropped("cam1", 0.3 * width, 0.0).apply(recording).cameras[0]
