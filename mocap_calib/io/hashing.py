@@ -1,6 +1,7 @@
 """Hashes of files: what results follow from, and whether they are still what was written."""
 
 import hashlib
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -28,14 +29,14 @@ def hash_inputs(paths: Iterable[str | Path]) -> dict[str, str]:
     Bytes of a path that are not UTF-8 are escaped, as files say these paths.
     """
     entries = (entry for path in map(Path, paths) for entry in _entries(path))
-    found = [entry for entry in entries if entry.is_file() or entry.is_dir()]
+    found = [entry for entry in entries if os.path.isfile(entry) or os.path.isdir(entry)]
     names = (str(entry).encode(errors="backslashreplace").decode() for entry in found)
     return dict(zip(names, map_in_threads(_hash_entry, found), strict=True))
 
 
 def _entries(path: Path) -> list[Path]:
     """Return the entries of a folder, or the path itself where it is none."""
-    return sorted(path.iterdir()) if path.is_dir() else [path]
+    return sorted(path.iterdir()) if os.path.isdir(path) else [path]
 
 
 def _hash_entry(path: Path) -> str:

@@ -46,7 +46,7 @@ def read(document: Document) -> PoseFile:
         raise document.refuse(expected, f"no {', '.join(missing) or 'such names'}", _REMEDY)
     numbers = read_table(document, texts=(), numbers=wanted).numbers
     frames = numbers[:, -1]
-    if not ((np.mod(frames, 1) == 0) & (np.abs(frames) < LARGEST_EXACT_FLOAT)).all():
+    if not ((np.round(frames) == frames) & (np.abs(frames) < LARGEST_EXACT_FLOAT)).all():
         raise document.refuse("a whole number fnum in each row", "others", _REMEDY)
     values = numbers[:, :-1].reshape(len(frames), 1, len(names), len(_FIELDS))
     views = np.nan_to_num(values[..., 4], nan=0.0, posinf=0.0, neginf=0.0).clip(0, MOST_VIEWS)
