@@ -12,6 +12,7 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, one_line
 from mocap_calib.recording.names import compose_name
+from mocap_calib.types import Floats
 
 MOST_POINTS = 100_000_000  # in a camera: 2.4 GB
 LARGEST_FRAME = 2**62  # so that the difference of two frame numbers is an int64 as well
@@ -20,6 +21,12 @@ _VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".wmv", ".mpg", ".mp
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp")
 _ESTIMATORS = "DeepLabCut, SLEAP, Lightning Pose, OpenPose, AlphaPose, MMPose, Ultralytics, ..."
 _LISTED = 3  # names of files in a message
+
+
+def are_whole(numbers: Floats) -> bool:
+    """Return whether all are whole numbers that floats hold exactly; infinity and NaN are not."""
+    exact = np.abs(numbers) < LARGEST_EXACT_FLOAT
+    return bool((exact & (np.rint(numbers) == numbers)).all())
 
 
 def plain_path(argument: str | Path) -> Path:

@@ -22,7 +22,7 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import LARGEST_EXACT_FLOAT
+from mocap_calib.io.file import are_whole
 from mocap_calib.types import Bools, Floats, Ints
 
 Column = int | str  # its index, or its heading
@@ -131,8 +131,7 @@ def _read_plain(document: Document, first_line: int, width: int) -> tuple[Floats
     found, is_all = array("d"), True
     for block in document.blocks(first_line):
         values = _parse_block(block, width)
-        first = values[:, 0]
-        if not len(first) or np.mod(first, 1).any() or np.abs(first).max() > LARGEST_EXACT_FLOAT:
+        if not len(values) or not are_whole(values[:, 0]):
             is_all = False
             break
         found.frombytes(values.tobytes())

@@ -454,6 +454,15 @@ def test_a_long_c3d_keeps_all_its_frames(tmp_path):
     np.testing.assert_array_equal(back.positions, positions)
 
 
+@pytest.mark.parametrize("frame", ["inf", "1e300", "0.5", "nan"])
+def test_frames_of_anipose_are_whole_numbers(frame, tmp_path):
+    mc.write(bare(("a",), np.ones((2, 1, 1, 3))), tmp_path / "x", "anipose-csv", fps=30.0)
+    first, _ = (tmp_path / "x").read_text().rsplit("\n", 1)[0].rsplit(",", 1)
+    (tmp_path / "x").write_text(f"{first},{frame}\n")
+    with pytest.raises(mc.FormatError, match="a whole number fnum in each row"):
+        mc.read_poses(tmp_path / "x")
+
+
 @pytest.mark.parametrize("name", ["trc", "anipose-csv"])
 def test_no_zero_of_a_text_has_a_sign_and_what_is_missing_is_empty(name, tmp_path):
     """Also of a keypoint that is called nan."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import LARGEST_EXACT_FLOAT
+from mocap_calib.io.file import are_whole
 from mocap_calib.io.format import Format
 from mocap_calib.io.poses import COVARIANCES, INDIVIDUALS, MOST_VIEWS, UNIT, PoseFile, mark_missing
 from mocap_calib.io.table import format_csv_line, format_lines, read_rows, read_table, slice_frames
@@ -46,7 +46,7 @@ def read(document: Document) -> PoseFile:
         raise document.refuse(expected, f"no {', '.join(missing) or 'such names'}", _REMEDY)
     numbers = read_table(document, texts=(), numbers=wanted).numbers
     frames = numbers[:, -1]
-    if not ((np.round(frames) == frames) & (np.abs(frames) < LARGEST_EXACT_FLOAT)).all():
+    if not are_whole(frames):
         raise document.refuse("a whole number fnum in each row", "others", _REMEDY)
     values = numbers[:, :-1].reshape(len(frames), 1, len(names), len(_FIELDS))
     views = np.nan_to_num(values[..., 4], nan=0.0, posinf=0.0, neginf=0.0).clip(0, MOST_VIEWS)
