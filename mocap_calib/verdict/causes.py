@@ -18,7 +18,7 @@ from mocap_calib.recording.corrections import Cropped, own_name
 from mocap_calib.results import Cause, Clocks, Fault, GroupResult
 from mocap_calib.rig import labelled_frames, matched_share
 from mocap_calib.types import Camera, EstimatedCamera, Floats
-from mocap_calib.verdict.checks import OPEN_DEG
+from mocap_calib.verdict.checks import OPEN_DEG, report_frames
 
 _SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
 _SPREAD_OF_MIDDLE = 0.15  # of where keypoints lie in the images of one camera, in sizes of these
@@ -161,9 +161,10 @@ def resized_images(group: GroupResult, config: Config) -> Iterator[Cause]:
 
     Of three cameras the others tell of one. From afar a focal length turns nothing.
     """
-    cameras, pixels = group.rig.cameras, group.recording.positions
     if group.uncertainty.weak_perspective.all():
         return
+    cameras, recording = group.rig.cameras, group.recording
+    pixels = recording.select(frames=report_frames(recording)).positions
     views = np.arange(len(cameras))
     for some in (views, *(views[[view]] for view in views if len(views) == 2)):
         seen = [pixels[view] for view in some]
