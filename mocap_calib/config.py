@@ -309,6 +309,8 @@ class PosesConfig:
 # rig is well determined, below the second usable, below the third weak
 VERDICT_LIMITS_DEG = (1.0, 3.0, 10.0)
 OF_95_PERCENT = 1.6  # root of the 95 % quantile of chi-square with 3 degrees of freedom, over 3
+# expected error of a well determined rig, at most
+SOUND_DEG = VERDICT_LIMITS_DEG[0] / OF_95_PERCENT
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap_calib import __version__, mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import OF_95_PERCENT, VERDICT_LIMITS_DEG, IntrinsicsConfig
+from mocap_calib.config import SOUND_DEG, IntrinsicsConfig
 from mocap_calib.errors import spell_as_option
 from mocap_calib.faults.hypotheses import describe_clock, describe_faults
 from mocap_calib.geometry.rotation import angle_between
@@ -349,7 +349,7 @@ def _describe_check(check: Cause) -> dict[str, Any]:
     return {
         "name": check.name,
         "value": finite_or_none(check.error_deg),
-        "limit": VERDICT_LIMITS_DEG[0] / OF_95_PERCENT,
+        "limit": SOUND_DEG,
         "error_deg": finite_or_none(check.error_deg) or 0.0,
         "camera": check.camera or None,
         "passed": check.passed,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib import mapped
-from mocap_calib.config import EPOCH_MARK, OF_95_PERCENT, VERDICT_LIMITS_DEG, Config
+from mocap_calib.config import EPOCH_MARK, OF_95_PERCENT, SOUND_DEG, VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import Spell, count, spell_arguments, spell_in_python
 from mocap_calib.types import (
     Bools,
@@ -401,7 +401,7 @@ class Cause:
     @property
     def passed(self) -> bool:
         """Whether it stands for no more than what a well determined rig may have."""
-        return not OF_95_PERCENT * self.error_deg > VERDICT_LIMITS_DEG[0]
+        return not self.error_deg > SOUND_DEG
 
 
 @dataclass(frozen=True)
@@ -431,12 +431,11 @@ class Verdict:
         """
         if self.word == VERDICTS[0]:
             return ()
-        least = VERDICT_LIMITS_DEG[0]
         largest = {cause.name: cause for cause in reversed(self.causes)}
         return tuple(
             cause
             for cause in self.causes
-            if cause is largest[cause.name] and 2 * OF_95_PERCENT * cause.error_deg >= least
+            if cause is largest[cause.name] and cause.error_deg >= SOUND_DEG / 2
         )
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.config import OF_95_PERCENT, REPORT_FRAMES, VERDICT_LIMITS_DEG, Config
+from mocap_calib.config import REPORT_FRAMES, SOUND_DEG, Config
 from mocap_calib.errors import argument
 from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import evenly_spaced
@@ -164,8 +164,7 @@ class CheckKind:
 
 def describe_checks() -> dict[str, dict[str, object]]:
     """Return what each check measures and the values of sound recordings, as JSON has them."""
-    # more is a reason for the verdict
-    sound = [0.0, round(VERDICT_LIMITS_DEG[0] / OF_95_PERCENT / 2, 2)]
+    sound = [0.0, round(SOUND_DEG / 2, 2)]  # more is a reason for the verdict
     return {kind.name: {"text": kind.text, "sound": sound} for kind in CHECKS}
 
 

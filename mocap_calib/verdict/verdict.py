@@ -24,12 +24,7 @@ from mocap_calib.adjust.refine import (
 )
 from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import (
-    EPOCH_MARK,
-    VERDICT_LIMITS_DEG,
-    Config,
-    UncertaintyConfig,
-)
+from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import rig_change, rig_size
