@@ -1,10 +1,10 @@
 """Fit one camera to points that are known: its pose, and what its images or its lens may hide.
 
-Images may be cropped against the intrinsics, and the focal length may be another. Robust
-nonlinear least squares (Cauchy's loss, by the
-iteration of `solve`) on the pixels as they are, so that the errors of all explanations compare.
-Errors of one joint go together, and those of one stretch of time: what the unknowns are uncertain
-by is measured on these (sandwich covariance, Cameron, Gelbach and Miller 2011), not assumed.
+Images may be cropped against the intrinsics, and the focal length may be another. Robust nonlinear
+least squares (Cauchy's loss, by the iteration of `solve`) on the pixels as they are, so that the
+errors of all explanations compare. Errors of one joint go together, and those of one stretch of
+time: the uncertainty of the unknowns is measured on these (sandwich covariance, Cameron, Gelbach
+and Miller 2011), not assumed.
 """
 
 from dataclasses import dataclass

@@ -195,8 +195,10 @@ def _fits(faults: Sequence[Fault], errors: Floats, result: CalibrationResult) ->
     names = [name.partition(EPOCH_MARK)[0] for name in result.groups[0].rig.names]
     own, factor = {fault.camera for fault in faults}, result.config.uncertainty.outlier_factor
     corrected = np.array([name in own for name in names])
-    if not own <= set(names) or corrected.all():
-        return own <= set(names)
+    if not own <= set(names):
+        return False
+    if corrected.all():  # no other camera is left to compare with
+        return True
     of_others = factor * np.nanmedian(errors[..., ~corrected])
     return all(np.nanmedian(errors[..., view]) < of_others for view in np.flatnonzero(corrected))
 

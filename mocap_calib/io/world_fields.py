@@ -51,7 +51,7 @@ def world_fields(world: World, unit: str) -> dict[str, Any]:
 
 
 def stated_world(world: World, unit: str) -> dict[str, Any]:
-    """Return the field `world` for a file, nothing where nobody knows what the axes are."""
+    """Return the field `world` for a file, nothing where the axes are not known."""
     return {} if world.kind == "not known" else {"world": world_fields(world, unit)}
 
 

@@ -99,7 +99,7 @@ def read_frames(video: Video, wanted: frozenset[int] | None) -> Iterator[tuple[i
                     video.path,
                     f"frames {usual:.1f} ms apart",
                     f"{time - before:.1f} ms before frame {index}: with a variable frame rate "
-                    "nobody knows which frame a detection is of",
+                    "the frame of a detection is not known",
                     f"make it constant, and detect again: ffmpeg -i {video.path.name} -fps_mode "
                     f"cfr -r {video.rate:.6g} new.mp4",
                 )

@@ -18,8 +18,8 @@ from mocap_calib.types import Bools, Floats, Ints
 def filter_poses(poses: Poses3D, config: FilterConfig, *, fps: float | None = None) -> Poses3D:
     """Return the poses filtered over time; what is missing stays missing.
 
-    fps: frames per second, for the cutoff of the Butterworth filter. How sure a filtered position
-    is nobody knows: the covariance is left out. A piece between gaps that is shorter than the
+    fps: frames per second, for the cutoff of the Butterworth filter. The uncertainty of a filtered
+    position is not known: the covariance is left out. A piece between gaps that is shorter than the
     filter stays as it is.
 
     Raises MismatchError for a cutoff without a rate, or one that is not below half of it, and a

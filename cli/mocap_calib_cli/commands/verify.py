@@ -157,7 +157,7 @@ def _camera_table(found: "Verification") -> "Table":
 def _write(output: "Path", form: str, given: "CameraRig", found: "Verification") -> None:
     """Write the calibration with the cameras that moved where they are now.
 
-    Cameras that nothing places are left out. Of two cameras nobody knows where they are.
+    Cameras that nothing places are left out. Of two cameras the poses are not known.
     """
     from mocap_calib.io.camera_files import write_cameras
     from mocap_calib.io.provenance import provenance

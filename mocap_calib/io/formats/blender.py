@@ -122,7 +122,7 @@ def _describe_camera(camera: PosedCamera) -> dict[str, Any]:
 
 
 def _find_floor(file: PoseFile) -> list[float] | None:
-    """Return the point of the floor below the bodies, z up; None where nobody knows the floor."""
+    """Return the point of the floor below the bodies, z up; None where the floor is not known."""
     world = file.poses.world
     if not (np.isfinite(world.floor).all() and np.isfinite(world.up).all()):
         return None

@@ -176,7 +176,7 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
 
 
 def _centre_sigmas(rig: CameraRig, provenance: Mapping[str, Any]) -> dict[str, float]:
-    """Return how sure centres are as lengths, by the names of cameras; nothing where nobody knows.
+    """Return how sure centres are as lengths, by the names of cameras; nothing where unknown.
 
     Percents are those of the size of a whole rig: they say nothing of a part of it, nor of cameras
     that stood elsewhere for some time.
