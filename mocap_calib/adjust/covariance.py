@@ -323,7 +323,7 @@ def _of_poses(matrix: Floats, rig: CameraRig) -> RigCovariance:
 
 
 def variance_of_parts(fitted: Problem, config: Config) -> float:
-    """Return the variance of all turns (square radians) by rigs without a fifth of the recording.
+    """Return the variance of all turns (square radians) by rigs without a fifth of each link.
 
     By the jackknife; 0 of a single frame.
     """
@@ -331,7 +331,7 @@ def variance_of_parts(fitted: Problem, config: Config) -> float:
     frames = len(np.unique(tracks.frame))
     if frames == 1:
         return 0.0
-    part = tracks.time_blocks(min(config.uncertainty.parts, frames))
+    part = tracks.link_blocks(min(config.uncertainty.parts, frames))
 
     def without(number: int) -> Floats:
         """Return the turns of the cameras without a part."""

@@ -72,6 +72,23 @@ class Tracks:
         frames, rank = np.unique(self.frame, return_inverse=True)
         return np.asarray(rank * blocks // max(len(frames), 1), dtype=np.int64)
 
+    def link_blocks(self, blocks: int) -> Ints:
+        """Return the number `[N]`, below `blocks`, of the period of its link of each point.
+
+        Two views are linked by the points that both see, the weakest link of a point being that of
+        the fewest. Links that hold for a part of the time have periods of their own.
+        """
+        views, view_set = np.unique(self.used, axis=1, return_inverse=True)
+        shared = self.used.astype(np.float64) @ self.used.T
+        np.fill_diagonal(shared, np.inf)
+        both = views[:, None] & views
+        link = np.where(both, shared[..., None], np.inf).reshape(-1, views.shape[1]).argmin(0)
+        link_of, period = link[view_set.ravel()], np.zeros(len(self.frame), dtype=np.int64)
+        for each in np.unique(link):
+            some = np.flatnonzero(link_of == each)
+            period[some] = self.select(some).time_blocks(blocks)
+        return period
+
 
 @dataclass(frozen=True)
 class Observed:

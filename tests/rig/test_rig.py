@@ -37,6 +37,7 @@ from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import LiftedPoses, Matches, PairwiseCalibration
 from mocap_calib.rig import (
     MEDIAN_DISTANCE,
+    Tracks,
     gather_tracks,
     measure_residuals,
     noise_of_rays,
@@ -737,6 +738,23 @@ def test_a_rig_triangulates_as_the_views_that_see_a_point_do(views):
         alone, agree = meet(rig.select(some), rays[some][..., own])
         close(found[:, own], alone, atol=1e-8)
         np.testing.assert_array_equal(used[np.ix_(some, own)], agree)
+
+
+def test_a_link_that_holds_for_a_part_of_the_time_has_periods_of_its_own():
+    """Two views share each of 50 frames with a third, and the last five with each other."""
+    weight = np.ones((3, 50))
+    weight[0, :25], weight[1, 25:] = 0.0, 0.0
+    weight[:, 45:] = 1.0
+    rays = np.zeros((3, 3, 50))
+    every, none = np.arange(50), np.zeros(50, dtype=np.int64)
+    tracks = Tracks(rays[:, :2], rays, weight, frame=every, individual=none, keypoint=none)
+    np.testing.assert_array_equal(tracks.link_blocks(5)[45:], np.arange(5))
+    for period in range(5):  # without it every link is left
+        left = tracks.link_blocks(5) != period
+        shared = tracks.used[:, left].astype(int) @ tracks.used[:, left].T
+        assert shared.min() >= 4
+    whole = replace(tracks, weight=np.ones((3, 50)))
+    np.testing.assert_array_equal(whole.link_blocks(5), whole.time_blocks(5))
 
 
 def test_one_outlying_view_is_found_and_left_out():
