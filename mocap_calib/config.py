@@ -39,8 +39,8 @@ class SampleConfig:
 # what is done about clocks that differ: found and mended, found and said, or not looked at
 SyncMode = Literal["auto", "check", "off"]
 SYNC_MODES: tuple[SyncMode, ...] = get_args(SyncMode)
-# frames of one camera for a frame of another: equal, or one of them skips every second
-CLOCK_RATES = (1.0, 0.5, 2.0)
+# frames of one camera for a frame of another: ratios of the rates that cameras have
+CLOCK_RATES = (1.0, 1 / 2, 2.0, 1 / 3, 3.0, 1 / 4, 4.0, 2 / 3, 3 / 2, 5 / 6, 6 / 5)
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,7 @@ from mocap_calib.types import (
 
 T = TypeVar("T")  # what is observed of a recording
 Calibrate = Callable[[Recording, T | None], tuple[T, CalibrationResult]]
+_FAR = 5  # windows, in which a camera is looked for that is in step nowhere nearer
 _ROUNDS = 4  # of calibrating again on refined clocks
 
 
@@ -73,13 +74,17 @@ def estimate_clocks(
     unknown = tuple(map(CameraClock, recording.names))
     if config.sync.mode == "off":
         return unknown
-    stretches = choose_stretches(recording, config.sync)
-    sample = take_sample(recording, stretches[stretches >= 0])
     try:
-        lifted = lift_sample(sample)
+        for window in (config.sync.window, _FAR * config.sync.window):
+            sync = replace(config.sync, window=window)
+            stretches = choose_stretches(recording, sync)
+            lifted = lift_sample(take_sample(recording, stretches[stretches >= 0]))
+            clocks = find_clocks(recording, lifted, stretches, rotations, sync, seed=seed)
+            if all(clock.kind != "not known" for clock in clocks):
+                break
     except MismatchError:  # the model knows too few of the joints: reported where they are needed
         return unknown
-    return find_clocks(recording, lifted, stretches, rotations, config.sync, seed=seed)
+    return clocks
 
 
 def calibrate_on_clocks(
@@ -133,11 +138,12 @@ def find_clocks(
     if window < 1 or not compared:
         return tuple(map(CameraClock, recording.names))
     numbers = frame_numbers(recording, stretches)
+    start = _starts(numbers)
     given = {pair: rotations[pair] for pair in compared if pair in rotations}
     sure: set[int] = set()
     if given:
         agreements = _compare(views, given, window)
-        timing = find_timing(agreements)
+        timing = find_timing(agreements, start)
         cameras = describe_clocks(recording.names, numbers, agreements, timing)
         if all(camera.kind == "in step" for camera in cameras):
             return cameras
@@ -153,7 +159,7 @@ def find_clocks(
         zip(searched, generators, strict=True),
     )
     found = given | dict(zip(searched, rotated, strict=True))
-    best = _align(views, found, find_timing(_compare(views, found, window)), window)
+    best = _align(views, found, find_timing(_compare(views, found, window), start), window)
     if given:
         # bodies of a gait also match half a cycle apart, under rotations that are turned by 180 deg
         gain = _along_maps(*best, given) - _along_maps(*near, given)
@@ -179,7 +185,7 @@ def _align(
         for (a, b), turn in rotations.items()
     }
     agreements = _compare(views, aligned, window)
-    return agreements, find_timing(agreements)
+    return agreements, find_timing(agreements, timing.start)
 
 
 def _along_maps(agreements: Agreements, timing: Timing, pairs: Iterable[Pair]) -> Floats:
@@ -210,7 +216,7 @@ def refine_clocks(
         values = agreement_of_rays(group.recording, rig, group.matches, stretches, window)
         if values:
             agreements = Agreements(len(rig), values, window)
-            timing = find_timing(agreements, constant=True)
+            timing = find_timing(agreements, _starts(numbers), constant=True)
             for found in describe_clocks(rig.names, numbers, agreements, timing):
                 before = cameras[found.camera]
                 # one frame names no camera: the estimate of parts of a frame is finer
@@ -228,6 +234,12 @@ def frame_numbers(recording: Recording, stretches: Ints) -> Ints:
     step, some = usual_step(recording.frames), (stretches >= 0).argmax(1)
     number = recording.frames[stretches[np.arange(len(stretches)), some]]
     return np.asarray((number - some * step)[:, None] + step * np.arange(stretches.shape[1]))
+
+
+def _starts(numbers: Ints) -> Ints:
+    """Return how many frames `[stretch]` lie before each stretch. numbers: of `frame_numbers`."""
+    step = np.diff(numbers[0, :2], append=numbers[0, 0] + 1)[0]
+    return np.asarray((numbers[:, 0] - numbers[0, 0]) // step)
 
 
 def combine_clocks(first: CameraClock, second: CameraClock) -> CameraClock:

@@ -3,14 +3,15 @@
 A camera's *map* is its own frame at each frame of a clock that is common to all. Given the maps of
 the others, the agreement of a camera with them is a table over its own frames. Constant offsets
 maximise it. Then each camera is tried at other frame rates, and at last with lost frames: steps of
-the ridge of its table, found by Viterbi's algorithm with a penalty for each step.
+the ridge of its table, found by Viterbi's algorithm with a penalty for each step. Lost frames make
+a camera fall behind, never run ahead: that tells who lost them, also of two cameras.
 
 Evidence is counted in nats: by how much it favours a map over the frame numbers as they are, given
 the spread of the agreement over blocks of time.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from mocap_calib.kernels.jit import contiguous
 from mocap_calib.types import Bools, CameraClock, ClockKind, Floats, Ints
 
 _LEAST_BLOCK = 5  # frames
+_CLOSE = 0.25  # frames, within which frames of other rates count as of one time
 _STEP_PENALTY = 3.0  # of a step of a map, in standard deviations of the agreement of a pair
 
 
@@ -29,27 +31,34 @@ class Timing:
     """The maps of all cameras.
 
     maps: `[view, stretch, frame]` own frames, -1 = none. rates: `[view]` own frames for one of the
-    common clock.
+    common clock. start: `[stretch]` frames of the common clock before each stretch.
     """
 
     maps: Ints
     rates: Floats
+    start: Ints
 
     @classmethod
-    def synchronous(cls, views: int, shape: tuple[int, ...]) -> "Timing":
-        """Return the timing of frame numbers as they are; shape: stretches, frames of each."""
-        return cls(np.broadcast_to(np.arange(shape[1]), (views, *shape)), np.ones(views))
+    def synchronous(cls, views: int, start: Ints, frames: int) -> "Timing":
+        """Return the timing of frame numbers as they are. frames: of each stretch."""
+        maps = np.broadcast_to(np.arange(frames), (views, len(start), frames))
+        return cls(maps, np.ones(views), start)
+
+    def at_rate(self, rate: float) -> tuple[Ints, Bools]:
+        """Return the own frames `[stretch, frame]` at a rate, and where they are close in time."""
+        exact = rate * (self.start[:, None] + np.arange(self.maps.shape[2])) - self.start[:, None]
+        own = np.round(exact).astype(np.int64)
+        return own, np.asarray(np.abs(exact - own) < _CLOSE)
 
     def change(self, view: int, own: Ints, rate: float) -> "Timing":
         """Return the timing with another map `[stretch, frame]` of one camera."""
         maps, rates = self.maps.copy(), self.rates.copy()
         maps[view], rates[view] = own, rate
-        return Timing(maps, rates)
+        return replace(self, maps=maps, rates=rates)
 
     def offsets(self, view: int) -> Ints:
         """Return the offsets `[stretch, frame]` of one camera from its rate."""
-        time = np.arange(self.maps.shape[2])
-        return self.maps[view] - np.round(self.rates[view] * time).astype(np.int64)
+        return self.maps[view] - self.at_rate(float(self.rates[view]))[0]
 
 
 def evidence(difference: Floats, shown: Bools) -> float:
@@ -89,12 +98,11 @@ def _offset_table(
 
     At frame t of the common clock its own frame is rate t + offset, offsets from -window to window.
     """
-    time = np.arange(timing.maps.shape[2])
-    exact = np.isclose(rate * time % 1, 0)
-    first = np.round(rate * time).astype(np.int64) - window
-    table = np.zeros((agreements.shape[0], len(time), 2 * window + 1))
+    own, close = timing.at_rate(rate)
+    first = own - window
+    table = np.zeros((*own.shape, 2 * window + 1))
     for other in partners:
-        row = np.where(exact, timing.maps[other], -1)
+        row = np.where(close, timing.maps[other], -1)
         kernels.add_windows(*contiguous(agreements.values[other, view], row, first), table)
     return table
 
@@ -117,23 +125,23 @@ def agreement_along(
 # The maps that agree best
 
 
-def find_timing(agreements: Agreements, *, constant: bool = False) -> Timing:
+def find_timing(agreements: Agreements, start: Ints, *, constant: bool = False) -> Timing:
     """Return the maps of all cameras that agree best, by the clock that most cameras share.
 
-    constant: offsets alone, no rates and no lost frames.
+    start: `[stretch]` as of `Timing`. constant: offsets alone, no rates and no lost frames.
     """
-    timing = _constant_timing(agreements)
+    timing = _constant_timing(agreements, start)
     for change in () if constant else (_with_other_rate, _with_steps):
         timing = _improve(agreements, timing, change)
     return timing
 
 
-def _constant_timing(agreements: Agreements) -> Timing:
+def _constant_timing(agreements: Agreements, start: Ints) -> Timing:
     """Return the timing of the constant offsets of which none can be changed for the better.
 
     Each camera is placed beside those before it, then all are changed in turn.
     """
-    timing = Timing.synchronous(agreements.views, agreements.shape)
+    timing = Timing.synchronous(agreements.views, start, agreements.shape[1])
     for view in range(agreements.views):
         placed = [other for other in agreements.partners(view) if other < view]
         timing = _at_best_constant(agreements, timing, view, 1.0, placed)
@@ -168,9 +176,9 @@ def _with_path(
     agreements: Agreements, timing: Timing, view: int, path: Ints, rate: float
 ) -> Timing:
     """Return the timing with one camera on a path `[stretch, frame]` of offsets."""
-    time = np.arange(path.shape[1])
-    own = np.round(rate * time).astype(np.int64) + path
-    shown = (own >= 0) & (own < agreements.shape[1]) & np.isclose(rate * time % 1, 0)
+    own, close = timing.at_rate(rate)
+    own = own + path
+    shown = (own >= 0) & (own < agreements.shape[1]) & close
     return timing.change(view, np.where(shown, own, -1), rate)
 
 
@@ -207,13 +215,29 @@ def _with_other_rate(
 ) -> tuple[Timing, Floats]:
     """Return the timing with one camera at the rate, other than 1, at which it agrees best."""
     found = []
-    for rate in CLOCK_RATES[1:]:
+    for rate in (*CLOCK_RATES[1:], _likeliest_drift(agreements, timing, view, partners)):
         changed = _at_best_constant(agreements, timing, view, rate, partners)
         agreement = agreement_along(agreements, changed.maps, view, partners)
         shown = np.count_nonzero(changed.maps[view] >= 0)
         found.append((agreement.sum() / max(shown, 1), changed, agreement))
     _, changed, agreement = max(found, key=lambda each: each[0])
     return changed, agreement
+
+
+def _likeliest_drift(
+    agreements: Agreements, timing: Timing, view: int, partners: Sequence[int]
+) -> float:
+    """Return the rate of a camera that runs ahead, or falls behind, by up to a window in the end.
+
+    Of those that differ by a frame in the end, the one of most agreement at any offset.
+    """
+    window, last = agreements.window, timing.start[-1] + agreements.shape[1] - 1
+    table = _offset_table(agreements, timing, view, 1.0, partners, window=2 * window)
+    rates = 1 + np.arange(-window, window + 1) / max(last, 1)
+    total = np.zeros((len(rates), 2 * window + 1))
+    kernels.sum_on_lines(*contiguous(table, timing.start), rates - 1, total)
+    total[window] = -np.inf  # no drift
+    return float(rates[total.max(1).argmax()])
 
 
 def _with_steps(
@@ -224,7 +248,7 @@ def _with_steps(
     A path bends to the noise of single frames: its agreement is that of paths found without the
     blocks of frames that they predict.
     """
-    rate = float(timing.rates[view])
+    rate = min(CLOCK_RATES, key=lambda each: abs(each - timing.rates[view]))
     # lost frames add up: in the end a clock may be off by more than at the beginning
     reach = min(2 * agreements.window, agreements.shape[1] // 2)
     table = _offset_table(agreements, timing, view, rate, partners, window=reach)
@@ -241,8 +265,8 @@ def _with_steps(
 def follow_ridge(table: Floats, partners: int) -> Ints:
     """Return the index of an offset `[stretch, frame]` for each frame, which seldom changes.
 
-    It maximises the agreement less a penalty for each step (Viterbi's algorithm). A camera that
-    lost frames is ahead by each of them, and behind where the others lost some: a step at a time.
+    It maximises the agreement less a penalty for each step (Viterbi's algorithm). The numbers of a
+    camera that lost frames fall behind, by any number of frames at a time.
 
     table: `[stretch, frame, offset]`, the sum over so many partners, which err alike.
     """
@@ -291,7 +315,7 @@ def weigh(agreements: Agreements, timing: Timing, view: int) -> dict[str, float]
     window = agreements.shape[1]
     table = _offset_table(agreements, timing, view, rate, witnesses, window=window)
     agreement = agreement_along(agreements, timing.maps, view, witnesses)
-    as_numbered = timing.change(view, np.broadcast_to(np.arange(window), own.shape), 1.0)
+    as_numbered = timing.change(view, np.arange(window), 1.0)
     numbered = agreement_along(agreements, as_numbered.maps, view, witnesses)
     return {
         "score": float(agreement[shown].mean()) / len(witnesses),
@@ -341,10 +365,10 @@ def describe_clocks(
         if (differ | stay).all() or not differ.any():
             return cameras
         stay = ~differ
-        synchronous = Timing.synchronous(len(names), agreements.shape).maps
-        timing = Timing(
-            np.where(stay[:, None, None], synchronous, timing.maps),
-            np.where(stay, 1.0, timing.rates),
+        timing = replace(
+            timing,
+            maps=np.where(stay[:, None, None], np.arange(timing.maps.shape[2]), timing.maps),
+            rates=np.where(stay, 1.0, timing.rates),
         )
 
 
@@ -373,24 +397,8 @@ def describe_clock(
         return CameraClock(camera, "not known", evidence=found)
     table = _table(timing, view, numbers)
     kind: ClockKind = "clock" if constant else "dropped"
-    if rate != 1.0 or (not constant and _is_linear(offset, known)):
-        kind = "rate"
+    kind = kind if rate == 1.0 else "rate"
     return CameraClock(camera, kind, table[0][1], rate, table, found)
-
-
-def _is_linear(offset: Ints, known: Bools) -> bool:
-    """Return whether offsets `[stretch, frame]` change evenly, as those of another rate do.
-
-    At least four steps, all within a frame of a line.
-    """
-    for part, of in zip(offset, known, strict=True):
-        time = np.flatnonzero(of)
-        if len(time) < 2 or np.count_nonzero(np.diff(part[time])) < 4:
-            return False
-        line = np.polyval(np.polyfit(time, part[of], 1), time)
-        if np.abs(part[of] - line).max() > 1.0:
-            return False
-    return True
 
 
 def _table(timing: Timing, view: int, numbers: Ints) -> tuple[tuple[int, int], ...]:
@@ -403,5 +411,5 @@ def _table(timing: Timing, view: int, numbers: Ints) -> tuple[tuple[int, int], .
     shown = (numbers[:, :1] + (numbers[0, 1] - numbers[0, 0]) * own)[own >= 0][begins]
     # the rate is counted from the first frame of the table
     late = shown - frame[0] - np.round((frame - frame[0]) * rate).astype(np.int64)
-    kept = np.append(True, np.diff(late) != 0)
+    kept = np.append(True, np.abs(np.diff(late)) > (rate not in CLOCK_RATES))  # of two roundings
     return tuple(zip(frame[kept].tolist(), late[kept].tolist(), strict=True))

@@ -11,18 +11,20 @@ from mocap_calib.types import Floats, Ints
 
 @kernel("f8[:,::1], f8, i8[::1]")
 def follow(table: Floats, price: float, path: Ints) -> None:
-    """Set the path `[frame]` through a table `[frame, offset]`, as of `clocks.maps`."""
+    """Set the path `[frame]` through a table `[frame, offset]`, as of `clocks.maps`: never up."""
     frames, offsets = table.shape
     origin = np.empty((frames, offsets), dtype=np.int32)
     total, before = np.empty(offsets), np.empty(offsets)
     total[:] = table[0]
     for frame in range(1, frames):
         before[:] = total
-        for k in range(offsets):
+        above = offsets - 1
+        for k in range(offsets - 1, -1, -1):
             best, value = k, before[k]
-            for source in (min(k + 1, offsets - 1), max(k - 1, 0)):
-                if before[source] - price > value:
-                    best, value = source, before[source] - price
+            if before[above] - price > value:
+                best, value = above, before[above] - price
+            if before[k] > before[above]:
+                above = k
             origin[frame, k] = best
             total[k] = value + table[frame, k]
     best = 0
@@ -33,11 +35,29 @@ def follow(table: Floats, price: float, path: Ints) -> None:
         path[frame - 1] = origin[frame, path[frame]]
 
 
-@kernel("f4[:,:,::1], i8[:,::1], i8[::1], f8[:,:,::1]")
+@kernel("f8[:,:,::1], i8[::1], f8[::1], f8[:,::1]")
+def sum_on_lines(table: Floats, start: Ints, slope: Floats, total: Floats) -> None:
+    """Add up a table `[stretch, frame, offset]` along lines, to totals `[line, offset]`.
+
+    start: `[stretch]` frames before each. slope: `[line]` offsets by frame. The offsets of the
+    totals are those in the middle of the table, at frame 0. Lines may leave the table.
+    """
+    stretches, frames, offsets = table.shape
+    middle = (offsets - total.shape[1]) // 2
+    for line in range(len(slope)):
+        for stretch in range(stretches):
+            for frame in range(frames):
+                shift = middle + round(slope[line] * (start[stretch] + frame))
+                for offset in range(total.shape[1]):
+                    if 0 <= offset + shift < offsets:
+                        total[line, offset] += table[stretch, frame, offset + shift]
+
+
+@kernel("f4[:,:,::1], i8[:,::1], i8[:,::1], f8[:,:,::1]")
 def add_windows(values: NDArray[np.float32], row: Ints, first: Ints, table: Floats) -> None:
     """Add windows of rows of agreement `[stretch, row, frame]` to a table of a clock.
 
-    row: `[stretch, frame]`, -1 = none. first: `[frame]` of the window. table: `[stretch, frame,
+    row: `[stretch, frame]`, -1 = none. first: the same, of the window. table: `[stretch, frame,
     offset]`.
     """
     stretches, frames, offsets = table.shape
@@ -46,10 +66,9 @@ def add_windows(values: NDArray[np.float32], row: Ints, first: Ints, table: Floa
         for frame in range(frames):
             if row[stretch, frame] < 0:
                 continue
-            start = max(0, -first[frame])
-            end = min(offsets, own_frames - first[frame])
-            for offset in range(start, end):
-                agreement = values[stretch, row[stretch, frame], first[frame] + offset]
+            begin = first[stretch, frame]
+            for offset in range(max(0, -begin), min(offsets, own_frames - begin)):
+                agreement = values[stretch, row[stretch, frame], begin + offset]
                 table[stretch, frame, offset] += agreement
 
 

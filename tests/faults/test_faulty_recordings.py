@@ -76,6 +76,22 @@ def test_a_world_in_the_mirror_is_not_well_determined():
     assert result.groups[0].verdict in ("weak", "not determined")
 
 
+def test_a_camera_that_turns_has_lost_no_frames():
+    """By 10 deg in 300 frames, as on a tripod that gives way; its clock is that of the others."""
+    given, true = plain(frames=300)
+    angle, focal = np.deg2rad(np.linspace(-5, 5, 300)), given.cameras[ODD].focal
+    positions = given.positions.copy()
+    positions[ODD, ..., 0] += (focal * np.tan(angle))[:, None, None]
+    result = calibrate_all(replace(given, positions=positions))
+    assert not any(clock.differs for clock in result.clocks.cameras)
+    sound = [view for view in range(4) if view != ODD]
+    assert not {fault.camera for fault in result.faults} & {given.names[view] for view in sound}
+    group = result.groups[0]
+    kept = [group.rig.names.index(given.names[view]) for view in sound]
+    assert rotation_errors_deg(group.rig.select(kept), true.select(sound)).max() < 1.0
+    assert group.verdict != "well determined"
+
+
 def test_of_two_cameras_none_is_named():
     """Neither of exchanged sides nor of having moved."""
     given, _ = plain(cameras=2)

@@ -4,22 +4,23 @@ import numpy as np
 
 
 def follow(table: np.ndarray, price: float) -> np.ndarray:
-    """Return the path `[frame]` of most agreement through a table `[frame, offset]` (Viterbi)."""
-    frames, offsets = table.shape
-    stay = np.arange(offsets)
-    steps = np.array([0, 1, -1])  # from where an offset is reached
-    sources = (stay + steps[:, None]).clip(0, offsets - 1)
-    prices = price * (steps != 0)[:, None]
-    origin = np.zeros((frames, offsets), dtype=np.int64)
-    total = table[0].copy()
-    for frame in range(1, frames):
-        value = total[sources] - prices
-        best = value.argmax(0)
-        origin[frame] = sources[best, stay]
-        total = value[best, stay] + table[frame]
+    """Return the path `[frame]` of most agreement, never up, through a table `[frame, offset]`.
+
+    Of equal ways to stay is the first, and to come from farther above.
+    """
+    offsets = table.shape[1]
+    down = np.triu(np.ones((offsets, offsets), dtype=bool))  # [offset, from where]
+    origin, total = [], table[0]
+    for row in table[1:]:
+        value = np.where(down, total - price, -np.inf)
+        np.fill_diagonal(value, total)
+        first = offsets - 1 - value[:, ::-1].argmax(1)
+        stays = value.diagonal() >= value.max(1)
+        origin.append(np.where(stays, np.arange(offsets), first))
+        total = value.max(1) + row
     path = [int(total.argmax())]
-    for frame in range(frames - 1, 0, -1):
-        path.append(int(origin[frame, path[-1]]))
+    for source in origin[::-1]:
+        path.append(int(source[path[-1]]))
     return np.array(path[::-1])
 
 
