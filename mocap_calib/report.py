@@ -348,9 +348,9 @@ def _describe_check(check: Cause) -> dict[str, Any]:
     """Return what a check found, and whether that is what sound recordings show."""
     return {
         "name": check.name,
-        "value": finite_or_none(check.error_deg),
+        "value": check.error_deg if check.measured else None,
         "limit": SOUND_DEG,
-        "error_deg": finite_or_none(check.error_deg) or 0.0,
+        "error_deg": check.error_deg,
         "camera": check.camera or None,
         "passed": check.passed,
     }

@@ -380,9 +380,10 @@ class Uncertainty(Record):
 class Cause:
     """A named part of the expected error of a rig; docs/how-good.md has them all.
 
-    camera: the one that it is of, "" = all. error_deg: rotation error that it stands for, NaN = a
-    check that had nothing to measure. meaning: what was found, with its subject. remedy: what to do
-    about it; arguments stand in it as `errors.argument` marks them.
+    camera: the one that it is of, "" = all. error_deg: rotation error that it stands for. meaning:
+    what was found, with its subject. remedy: what to do about it; arguments stand in it as
+    `errors.argument` marks them. measured: whether there was anything to measure it by; else
+    error_deg is what is not known for that.
     """
 
     name: str
@@ -390,6 +391,7 @@ class Cause:
     error_deg: float
     meaning: str
     remedy: str
+    measured: bool = True
 
     def __str__(self) -> str:
         return self.render(spell_in_python)
@@ -400,8 +402,8 @@ class Cause:
 
     @property
     def passed(self) -> bool:
-        """Whether it stands for no more than what a well determined rig may have."""
-        return not self.error_deg > SOUND_DEG
+        """Whether it was measured, and is no more than what a well determined rig may have."""
+        return self.measured and self.error_deg <= SOUND_DEG
 
 
 @dataclass(frozen=True)

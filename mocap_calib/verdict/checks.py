@@ -152,14 +152,23 @@ class CheckKind:
     measure: Callable[[Look], float | Floats]
 
     def check(self, look: Look) -> Cause:
-        """Return the check of a group: of the camera with the largest value."""
+        """Return the check of a group: of the camera with the largest value.
+
+        A camera without one, where others have it, may be wrong by any angle.
+        """
         values = np.atleast_1d(self.measure(look))
-        if not np.isfinite(values).any():
-            return Cause(self.name, "", np.nan, self.meaning, self.remedy)
-        worst = int(np.nanargmax(values))
+        unknown = np.isnan(values)
+        if unknown.all():  # of no camera: the check cannot be made
+            return Cause(self.name, "", 0.0, self.meaning, self.remedy, measured=False)
+        values = np.where(unknown, OPEN_DEG, values)
+        worst = int(values.argmax())
         camera = look.group.rig.names[worst] if len(values) > 1 else ""
-        meaning = self.meaning.format(value=values[worst], camera=camera)
-        return Cause(self.name, camera, float(values[worst]), meaning, self.remedy)
+        meaning, remedy = self.meaning.format(value=values[worst], camera=camera), self.remedy
+        if unknown[worst]:
+            meaning = f"{camera}: the check of its {self.name} had nothing to measure"
+            remedy = "record subjects that it sees together with other cameras"
+        measured = not unknown[worst]
+        return Cause(self.name, camera, float(values[worst]), meaning, remedy, measured)
 
 
 def describe_checks() -> dict[str, dict[str, object]]:

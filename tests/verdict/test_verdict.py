@@ -397,8 +397,22 @@ def test_detections_to_one_side_in_a_stretch_of_time_are_seen(share, matched, se
         assert found.error_deg < 0.5 * turn
 
 
-def test_a_check_without_a_value_does_not_fail():
-    assert [cause(each).passed for each in (np.nan, 0.6, 0.7)] == [True, True, False]
+def test_what_was_not_measured_has_not_passed():
+    assert [cause(each).passed for each in (0.0, 0.6, 0.7, np.nan)] == [True, True, False, False]
+    assert not replace(cause(0.0), measured=False).passed
+
+
+def test_a_camera_without_a_value_may_be_wrong_by_any_angle():
+    """Nothing of the last one goes with others; without pairs no camera has a score."""
+    labels = sound().matches.labels.copy()
+    labels[-1] = -1
+    for name in ("errors", "over time"):
+        found = check(with_labels(sound(), labels), name)
+        assert (found.camera, found.error_deg) == (sound().rig.names[-1], OPEN_DEG)
+        assert not found.measured
+        assert "nothing to measure" in str(found)
+    none = check(replace(sound(), pairs=()), "pair score")
+    assert (none.measured, none.error_deg, none.camera) == (False, 0.0, "")
 
 
 def test_errors_to_all_sides_are_seen_by_their_median():

@@ -138,14 +138,15 @@ function checkRow(check: Check, index: number, about?: { text: string; sound: [n
 
 function checks({ run, checks: abouts }: Recording): HTMLElement {
   const list = run.verdict.checks;
-  const failed = list.filter((check) => !check.passed).length;
+  const unknown = list.filter((check) => check.value === null).length;
+  const failed = list.filter((check) => check.value !== null && !check.passed).length;
   const open = failed > 0;
   const heads = ["Check", "State", term("Found", explain(["verdict", "checks", 0, "value"])), "Found, sound range, limit", "Sound recordings",
     term("Limit", explain(["verdict", "checks", 0, "limit"])), "Camera"];
   return h(
     "details",
     { open, class: "checks" },
-    h("summary", {}, failed ? `${failed} of ${list.length} checks failed` : `All ${list.length} checks passed`),
+    h("summary", {}, failed ? `${failed} of ${list.length} checks failed` : unknown ? `${list.length - unknown} of ${list.length} checks passed, ${unknown} not known` : `All ${list.length} checks passed`),
     table("Checks that look for what the uncertainty does not cover", heads, list.map((check, i) => checkRow(check, i, abouts[check.name]))),
   );
 }
