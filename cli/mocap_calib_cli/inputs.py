@@ -86,7 +86,7 @@ def keypoint_source(typed: Typed) -> KeypointSource:
             *map(Mirrored, typed.mirrored),
             *map(Sides, typed.sides),
             *starmap(Rotated, dict(typed.rotated).items()),
-            *starmap(Resized, dict(typed.resized).items()),
+            *(Resized(camera, *factors) for camera, factors in dict(typed.resized).items()),
             *starmap(Moved, typed.moved),
         ),
     )

@@ -15,7 +15,7 @@ mirrored: The video of this camera is mirrored, left for right.
 sides: Left and right are exchanged in the names of this camera's keypoints.
 rotated: The images of a camera are turned clockwise against its intrinsics, by 90, 180 or 270
     degrees.
-resized: The images of a camera are so many times as large as its intrinsics say.
+resized: The images of a camera are so many times as large as its intrinsics say, or wide and high.
 exchanged: The intrinsics of these two cameras are exchanged.
 moved: A camera stands, or looks, elsewhere from this frame on.
 mend: What is done where the files of a camera turn out to be wrong: auto mends for this run what

@@ -182,6 +182,12 @@ def _size(text: str) -> tuple[int, int]:
     return _allowed((width, height), min(width, height) > 0)
 
 
+def _scale(text: str) -> tuple[float, ...]:
+    """Return the factor of `F`, or those of width and height of `X,Y`."""
+    factors = tuple(map(_positive, text.split(",")))
+    return _allowed(factors, len(factors) <= 2)
+
+
 def _corner(text: str) -> tuple[float, float]:
     """Return the x and the y of `X,Y`."""
     x, y = map(_number, text.split(","))
@@ -261,7 +267,11 @@ IMAGE_SIZE = Written(
 FRAME_OFFSET = Written("CAM:N", "camera:frames with a whole number, as cam1:-3", _of_camera(_whole))
 CROP_OFFSET = Written("CAM:X,Y", "camera:x,y, as cam1:640,0", _of_camera(_corner))
 ROTATED = Written("CAM:DEG", "camera:degrees with 90, 180 or 270, as cam1:90", _of_camera(_degrees))
-RESIZED = Written("CAM:FACTOR", "camera:factor above 0, as cam1:0.5", _of_camera(_positive))
+RESIZED = Written(
+    "CAM:FACTOR|CAM:X,Y",
+    "camera:factor above 0, or those of x and y, as cam1:0.5 or cam1:1,0.75",
+    _of_camera(_scale),
+)
 MOVED = Written("CAM:FRAME", "camera:frame with a whole number, as cam1:500", _of_camera(_whole))
 EXCHANGED = Written("A,B", "two cameras, as cam1,cam2", _two_cameras)
 RATE = Written(

@@ -15,12 +15,12 @@ import numpy as np
 
 from mocap_calib.adjust.covariance import scatter_of
 from mocap_calib.adjust.solve import System, levenberg_marquardt
-from mocap_calib.config import AdjustConfig, CameraFitConfig
+from mocap_calib.config import CORNER_OFFSET, AdjustConfig, CameraFitConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import POSE, Camera, CameraRig, Floats, Ints
 
-Unknown = Literal["x", "y", "log_focal"]
+Unknown = Literal["x", "y", "log_focal", "log_width", "log_height"]
 _MOST_LOG = 3.0  # no focal length is so many times another: beyond it a fit has run away
 _FAR = 1e6  # pixels: the residual of what is behind the camera
 
@@ -162,15 +162,20 @@ def linearise_camera(
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         slopes = lens.image_slopes(camera, image)
     taken = slopes.log_focal + camera.matrix[:2, 2:]
+    logs = np.array([[value.get("log_width", 0.0)], [value.get("log_height", 0.0)]])
+    size = np.exp(np.clip(logs, -_MOST_LOG, _MOST_LOG))
+    whole = size * (taken + CORNER_OFFSET)  # from the corner of the images, which are resized
     shift = np.array([[value.get("x", 0.0)], [value.get("y", 0.0)]])
-    residual = taken + shift - seen.pixels.T
+    residual = whole - CORNER_OFFSET + shift - seen.pixels.T
     good = front & np.isfinite(residual).all(0)
-    by_image = slopes.image / depth
+    by_image = size[:, None] * slopes.image / depth
     by_shift = np.stack([by_image[:, 0], by_image[:, 1], -(by_image * image).sum(1)])
     by_unknown = {
         "x": np.stack([np.ones_like(depth), np.zeros_like(depth)]),
         "y": np.stack([np.zeros_like(depth), np.ones_like(depth)]),
-        "log_focal": slopes.log_focal,
+        "log_focal": size * slopes.log_focal,
+        "log_width": whole * [[1.0], [0.0]],
+        "log_height": whole * [[0.0], [1.0]],
     }
     # a turn w of the camera's axes moves R X by w x R X
     by_turn = np.cross(turned[:, None], by_shift, axis=0)

@@ -39,7 +39,7 @@ _SAYS: dict[FaultWord, str] = {
     "mirrored": "images horizontally mirrored",
     "sides": "left and right exchanged",
     "rotated": "images turned clockwise by {0.degrees} deg against its intrinsics",
-    "resized": "images resized by {0.factor:.3g} against its intrinsics",
+    "resized": "images resized by {0.text} against its intrinsics",
     "cropped": "images cut off by {0.x:.0f} px at the left and {0.y:.0f} px at the top",
     "focal": "focal length {0.focal:.0f} +- {0.sigma:.0f} px, other than its intrinsics say",
 }
@@ -47,7 +47,7 @@ _OPTION: dict[FaultWord, str] = {
     "mirrored": "--mirrored {0.camera}",
     "sides": "--sides {0.camera}",
     "rotated": "--rotated {0.camera}:{0.degrees}",
-    "resized": "--resized {0.camera}:{0.factor:.4g}",
+    "resized": "--resized {0.camera}:{0.text}",
     "cropped": "--crop-offset {0.camera}:{0.x:.0f},{0.y:.0f}",
     "focal": "--refine focal --focal-per-camera",  # all focal lengths are estimated then
     "exchanged": "--exchanged {0.camera},{0.other}",
@@ -100,6 +100,7 @@ def list_hypotheses(recording: Recording, view: int) -> tuple[Hypothesis, ...]:
         found += [
             replace(given, name="cropped", free=("x", "y")),
             replace(given, name="focal", free=("log_focal",)),
+            replace(given, name="resized", free=("log_width", "log_height")),
         ]
     return tuple(found)
 
@@ -114,7 +115,20 @@ def mend_of(hypothesis: Hypothesis, fit: CameraFit) -> Mend | None:
     if hypothesis.name == "focal":
         focal = camera.focal * float(np.exp(fit.unknowns[0]))
         return Refocused(camera.name, focal, focal * float(np.sqrt(fit.covariance[0, 0])))
+    if hypothesis.name == "resized":
+        x, y = np.exp(fit.unknowns).tolist()
+        sigma = float(np.sqrt(np.diag(fit.covariance).max()))
+        return _plain_size(camera.name, fit) or Resized(camera.name, x, y, sigma=sigma)
     return hypothesis.mend
+
+
+def _plain_size(camera: str, fit: CameraFit) -> Resized | None:
+    """Return plain factors of width and height, of one of them or unlike, where a fit has such."""
+    sigma, plain = np.sqrt(np.diag(fit.covariance)), np.array((1.0, *PLAIN_FACTORS))
+    beside = np.abs(fit.unknowns[:, None] - np.log(plain)) / sigma[:, None]
+    near = beside.argmin(1)
+    certain = (beside.min(1) < 2).all() and sigma.max() < DiagnosisConfig.sound_focal
+    return Resized(camera, *plain[near].tolist()) if certain and near[0] != near[1] else None
 
 
 def log_bayes_factor(unknowns: Floats, covariance: Floats, sound: Floats, faulty: Floats) -> float:
@@ -135,8 +149,15 @@ def log_bayes_factor(unknowns: Floats, covariance: Floats, sound: Floats, faulty
 def evidence_of_unknowns(hypothesis: Hypothesis, fit: CameraFit, config: DiagnosisConfig) -> float:
     """Return the log evidence (nats) for the unknowns of a hypothesis, not for sound ones."""
     if hypothesis.name != "cropped":
+        tests: tuple[list[float], ...] = ([1.0],)
+        if hypothesis.name == "resized":  # with equal factors the focal length may be wrong
+            plain = _plain_size(hypothesis.camera.name, fit)
+            tests = ([1.0, -1.0],) if plain else ([1.0, -1.0], [1.0, 0.0], [0.0, 1.0])
         sound, faulty = np.array([config.sound_focal]), np.array([config.faulty_focal])
-        return log_bayes_factor(fit.unknowns, fit.covariance, sound, faulty)
+        return min(
+            log_bayes_factor(each @ fit.unknowns, each @ fit.covariance @ each.T, sound, faulty)
+            for each in map(np.atleast_2d, tests)
+        )
     size = np.array(hypothesis.camera.size, dtype=np.float64)
     if not size.all() or not _may_be_cropped(hypothesis, fit, size):
         return -np.inf

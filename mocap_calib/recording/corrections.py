@@ -18,7 +18,7 @@ from mocap_calib.errors import MismatchError, argument
 from mocap_calib.geometry.lens import centre_sigma
 from mocap_calib.recording.joints import side_pairs
 from mocap_calib.results import FaultWord, Mend
-from mocap_calib.types import Camera, CameraRig, EstimatedCamera, Ints, Recording
+from mocap_calib.types import Camera, CameraRig, EstimatedCamera, Floats, Ints, Recording
 
 
 def apply_mends(recording: Recording, mends: tuple[Mend, ...]) -> Recording:
@@ -143,22 +143,43 @@ class Rotated:
 class Resized:
     """The images of a camera are larger or smaller than its intrinsics say.
 
-    factor: size of the images, as a multiple of what the intrinsics are for.
+    x, y: width and height of the images, as multiples of what the intrinsics are for; y is None
+        where the two are the same. sigma: standard deviation of the logarithms where they are an
+        estimate, 0 where they are known.
     """
 
     camera: str
-    factor: float
+    x: float
+    y: float | None = None
+    sigma: float = 0.0
     word: ClassVar[FaultWord] = "resized"
+
+    @property
+    def factors(self) -> Floats:
+        """Of width and height."""
+        return np.array([self.x, self.x if self.y is None else self.y])
+
+    @property
+    def text(self) -> str:
+        """The factors as options have them: one, or that of the width and that of the height."""
+        return ",".join(f"{factor:.4g}" for factor in dict.fromkeys(self.factors.tolist()))
 
     def apply(self, recording: Recording) -> Recording:
         """Return the recording with intrinsics of images of this size."""
-        camera = recording.cameras[find_view(recording, self.camera)]
+        camera, factors = recording.cameras[find_view(recording, self.camera)], self.factors
         matrix = camera.matrix.copy()
-        matrix[:2] *= self.factor
-        matrix[:2, 2] += (self.factor - 1) / 2  # pixel centres are integers
-        width, height = (round(self.factor * length) for length in camera.size)
-        sigma = camera.centre_sigma and self.factor * camera.centre_sigma
-        resized = replace(camera, size=(width, height), matrix=matrix, centre_sigma=sigma)
+        matrix[:2] *= factors[:, None]
+        matrix[:2, 2] += (factors - 1) / 2  # pixel centres are integers
+        width, height = np.rint(factors * camera.size).astype(int).tolist()
+        centre = camera.centre_sigma and float(factors.max()) * camera.centre_sigma
+        resized = replace(camera, size=(width, height), matrix=matrix, centre_sigma=centre)
+        if self.sigma:
+            sigma = np.hypot(centre_sigma(resized, UncertaintyConfig()), self.sigma * matrix[:2, 2])
+            resized = EstimatedCamera.of(
+                replace(resized, centre_sigma=float(sigma.max())),
+                focal_sigma=self.sigma * resized.focal,
+                k1_sigma=0.0,
+            )
         return _with_camera(recording, resized)
 
 

@@ -796,6 +796,7 @@ def seen_of(points, pixels) -> Seen:
     [
         (("x", "y"), [-150.0, -80.0], 1e-3),
         (("log_focal",), [0.3], 1e-6),
+        (("log_width", "log_height"), [-0.4, -0.7], 1e-6),
         ((), [], 1e-12),
     ],
 )
@@ -806,7 +807,8 @@ def test_what_images_hide_is_found_from_exact_points(free, values, tolerance):
     matrix[[0, 1], [0, 1]] *= np.exp(value.get("log_focal", 0.0))
     taken = Camera("c", CAMERA.size, matrix, CAMERA.distortion)
     pixels = pixels_from_points(taken, points @ ROTATION.T + TRANSLATION)
-    pixels += (value.get("x", 0.0), value.get("y", 0.0))
+    pixels = (pixels + 0.5) * np.exp([value.get(side, 0.0) for side in ("log_width", "log_height")])
+    pixels += (value.get("x", 0.0) - 0.5, value.get("y", 0.0) - 0.5)
     turned = matrix_from_vector(np.array([0.0, 0.1, 0.05])) @ ROTATION
     start = np.column_stack([turned, TRANSLATION + (0.1, 0.0, 0.3)])
     found = fit(points, pixels, start, noise=20.0, free=free)
@@ -830,15 +832,15 @@ def test_the_uncertainty_of_a_crop_covers_its_error():
 def test_slopes_of_what_a_camera_sees_are_those_of_differences():
     """Of a turn, a shift, and all that its images may hide; pixels by radians, metres and so on."""
     points = bodies(frames=3).reshape(-1, 3)
-    seen, free = seen_of(points, np.zeros((len(points), 2))), ("x", "y", "log_focal")
-    at, step = np.array([20.0, -30.0, 0.05]), 1e-5
+    free = ("x", "y", "log_focal", "log_width", "log_height")
+    seen, at, step = seen_of(points, np.zeros((len(points), 2))), [20, -30, 0.05, 0.2, -0.1], 1e-5
 
     def linearised(change):
         turn = matrix_from_vector(change[:3])
         pose = np.column_stack([turn @ ROTATION, TRANSLATION + change[3:6]])
         return linearise_camera(CAMERA, seen, Unknowns(pose, at + change[6:]), free)
 
-    for slope, change in zip(linearised(np.zeros(9))[1], step * np.eye(9), strict=True):
+    for slope, change in zip(linearised(np.zeros(11))[1], step * np.eye(11), strict=True):
         expected = (linearised(change)[0] - linearised(-change)[0]) / (2 * step)
         close(slope, expected, rtol=1e-6, atol=1e-3)
 

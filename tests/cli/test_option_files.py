@@ -33,7 +33,7 @@ VALUES: dict[str, str | list[str]] = {
     "mirrored": ["on", "null", "~", "- x", "[x", "*a", "!x", "%a", "@a", "---", "<<", "=", "? x"],
     "sides": ["'", '"', "a\nb", "\t", "{x}", "&a", "x:", " ", "a #b"],
     "rotated": ["cam1:90"],
-    "resized": ["cam1:0.5"],
+    "resized": ["cam1:0.5", "cam2:1,0.75"],
     "exchanged": ["cam1,cam2"],
     "moved": ["cam1:500", "cam1:700"],
     "mend": "none",

@@ -108,7 +108,11 @@ RUN = "run k --cameras i.toml -o o"
         ("inspect x --frame-offset a:1.5", "with a whole number, as cam1:-3, found a:1.5"),
         ("inspect x --frame-offset a:1e16", "with a whole number, as cam1:-3, found a:1e16"),
         ("inspect x --crop-offset a:3", "expected camera:x,y, as cam1:640,0, found a:3"),
-        (f"{RUN} --resized a:0", "expected camera:factor above 0, as cam1:0.5, found a:0"),
+        (
+            f"{RUN} --resized a:0",
+            "expected camera:factor above 0, or those of x and y, as cam1:0.5",
+        ),
+        (f"{RUN} --resized a:1,2,3", "as cam1:0.5 or cam1:1,0.75, found a:1,2,3"),
         (f"{RUN} --exchanged a,a", "expected two cameras, as cam1,cam2, found a,a"),
         (f"{RUN} --moved a", "expected camera:frame with a whole number, as cam1:500, found a"),
         (f"{RUN} --fps 30 --fps a:nan", f"{RATE} a:nan"),

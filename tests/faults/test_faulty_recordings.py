@@ -59,6 +59,18 @@ def test_a_cropped_camera_is_named_and_corrected():
     assert errors.max() < 2 * group.assessment.error_deg
 
 
+@pytest.mark.parametrize("factors", [(1.0, 0.75), (0.64, 0.48)])
+def test_a_squeezed_camera_is_named_and_corrected(factors):
+    """Of plain factors, and of any."""
+    given, true = plain()
+    positions = given.positions.copy()
+    positions[ODD] = (positions[ODD] + 0.5) * factors - 0.5
+    result = calibrate_all(replace(given, positions=positions))
+    assert named(result) == {(given.names[ODD], "resized")}
+    assert result.faults[0].mend.factors == pytest.approx(factors, rel=0.02)
+    assert np.median(rotation_errors_deg(result.groups[0].rig, true)) < 1.0
+
+
 @pytest.mark.parametrize(("cameras", "people"), [(5, 1), (3, 2)])
 def test_two_cameras_whose_sides_are_exchanged_are_named_and_corrected(cameras, people):
     """Two of three are the most; the network finds their bodies odd. Measured 0.1 deg after."""

@@ -510,6 +510,9 @@ def test_resized_and_cropped_intrinsics_see_such_images(filmed):
     assert half.size == (WIDTH // 2, HEIGHT // 2)
     # pixel centres are integers: the left edge of the image is at -0.5
     close(pixels_from_points(half, POINTS), (pixels + 0.5) / 2 - 0.5, atol=1e-6)
+    squeezed = Resized("a", 0.64, 0.48).apply(filmed).cameras[0]
+    assert squeezed.size == (round(0.64 * WIDTH), round(0.48 * HEIGHT))
+    close(pixels_from_points(squeezed, POINTS), (pixels + 0.5) * (0.64, 0.48) - 0.5, atol=1e-6)
     part = Cropped("a", 100, 40).apply(filmed).cameras[0]
     close(pixels_from_points(part, POINTS), pixels - (100, 40), atol=1e-6)
 
@@ -659,6 +662,7 @@ MENDS = {
     "--sides c": Sides("c"),
     "--rotated c:90": Rotated("c", 90),
     "--resized c:0.5": Resized("c", 0.5),
+    "--resized c:1,0.75": Resized("c", 1, 0.75),
     "--crop-offset c:10,0": Cropped("c", 10.2, 0),
     "--exchanged c,d": Exchanged("c", "d"),
     "--moved c:7": Moved("c", 7),
