@@ -11,6 +11,7 @@ Every message is one line: what was expected, what came, what to do. Anything el
 is a mistake of the program and keeps its traceback.
 """
 
+import errno
 import re
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
@@ -21,6 +22,9 @@ _ARGUMENT = re.compile(f"{_NAME}([^{_VALUE}]*){_VALUE}([^{_END}]*){_END}")
 _LONGEST = 300  # characters of what and found, which hold what files say
 # arguments of the command that have another name in Python
 _NAMES_IN_PYTHON = {"from": "format", "to": "format", "write": "format"}
+
+# of the system, where nothing more can be written at a place
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 Spell = Callable[[str, str], str]
 

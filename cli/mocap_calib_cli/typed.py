@@ -15,7 +15,13 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from mocap_calib.errors import MismatchError, MocapCalibError, quote_for_shell, spell_as_option
+from mocap_calib.errors import (
+    NO_ROOM,
+    MismatchError,
+    MocapCalibError,
+    quote_for_shell,
+    spell_as_option,
+)
 from mocap_calib_cli.docstrings import split_help
 from mocap_calib_cli.options import HELP, SHARED
 from mocap_calib_cli.values import Output
@@ -56,7 +62,7 @@ Run = Callable[[Typed], int | None]
 # errors of the system that a user can correct
 _OF_FILES = (
     *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EISDIR, errno.ENOTDIR),
-    *(errno.EEXIST, errno.ENOSPC, errno.EDQUOT),
+    errno.EEXIST,
 )
 
 
@@ -145,8 +151,15 @@ def explain(error: Exception, command: click.Command | None = None) -> str | Non
 
     if isinstance(error, MocapCalibError):
         return error.render(spell)
-    if isinstance(error, OSError) and error.errno in _OF_FILES:
-        found = str(error.strerror).lower()
+    if not isinstance(error, OSError):
+        return None
+    found = str(error.strerror).lower()
+    if error.errno in NO_ROOM:
+        return (
+            f"{error.filename or 'stdout'}: expected room to write, found {found}; free space on "
+            "its disk, raise the limit (quota, ulimit -f), or choose another place"
+        )
+    if error.errno in _OF_FILES:
         return (
             f"{error.filename or 'a file'}: expected a path this program can use, found {found}; "
             "check the path, its permissions and the disk, or choose another"

@@ -1,37 +1,50 @@
-"""Write files and folders whole or not at all."""
+"""Write files and folders whole or not at all.
+
+What is being written lies hidden beside its place: `.NAME.new` for a file, `.writing` in a folder.
+A process holds a lock while it writes, which ends with the process: what a killed one left is
+removed by the next that writes there, and what is being written by another is waited for.
+"""
 
 import errno
 import os
 import shutil
-import tempfile
+import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import NO_ROOM, MismatchError
 from mocap_calib.recording.names import compose_name
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
+# in a folder: the files being written, all of them written and being moved, and those replaced
+_WRITING, _WRITTEN, _REPLACED = ".writing", ".written", ".replaced"
 
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Give a file to write that takes the place of `path` in one step when the block ends well.
+    """Give a file to make that takes the place of `path` in one step when the block ends well.
 
     The folder is made when missing.
     """
     _check_no_folder(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
-    work = Path(name)
-    try:
-        yield work
-        with work.open("rb+") as file:
-            os.fsync(file.fileno())
-        _set_usual_mode(work)
-        os.replace(work, path)
-    except BaseException:
-        work.unlink(missing_ok=True)
-        raise
+    work = path.with_name(f".{path.name}.new")
+    with _naming_full_disk(path), _locked(path.with_name(f".{path.name}.lock")):
+        try:
+            work.unlink(missing_ok=True)  # of a process that was killed
+            yield work
+            with work.open("rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(work, path)
+        except BaseException:
+            work.unlink(missing_ok=True)
+            raise
 
 
 def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
@@ -50,19 +63,38 @@ def replace_folder(path: Path) -> Iterator[Path]:
     """Give a folder to fill, whose files appear in `path` together when the block ends well.
 
     Files of the same names in `path` and its subfolders are replaced; others are left alone. No
-    file appears when the block fails.
+    file appears when the block fails. Where the process is killed while files are moved, the next
+    one that writes or reads there moves the others.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
-    replaced = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.old."))
+    made = not path.exists()
+    path.mkdir(parents=True, exist_ok=True)
+    work = path / _WRITING
     try:
-        yield work
-        path.mkdir(exist_ok=True)
-        files = [file.relative_to(work) for file in sorted(work.rglob("*")) if file.is_file()]
-        _move(files, work, path, replaced)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
-        shutil.rmtree(replaced, ignore_errors=True)
+        with _naming_full_disk(path), _locked(path / f"{_WRITING}.lock"):
+            _move_written(path)
+            shutil.rmtree(work, ignore_errors=True)  # of a process that was killed
+            work.mkdir()
+            try:
+                yield work
+                for name in _files_below(work):
+                    _check_no_folder(path / name)
+                work.rename(path / _WRITTEN)
+                _move_written(path)
+            finally:
+                shutil.rmtree(work, ignore_errors=True)
+                shutil.rmtree(path / _WRITTEN, ignore_errors=True)
+    except BaseException:
+        if made:
+            with suppress(OSError):
+                path.rmdir()
+        raise
+
+
+def finish_replacing(folder: Path) -> None:
+    """Move the files of `replace_folder` that a process which was killed had not moved yet."""
+    if (folder / _WRITTEN).is_dir():
+        with _locked(folder / f"{_WRITING}.lock"):
+            _move_written(folder)
 
 
 def write_files(path: Path, files: Mapping[str, bytes]) -> None:
@@ -123,32 +155,86 @@ def _check_no_folder(path: Path) -> None:
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
 
 
-def _set_usual_mode(path: Path) -> None:
-    """Give a temporary file, which is its owner's alone, the mode that new files have."""
-    umask = os.umask(0)
-    os.umask(umask)
-    os.chmod(path, 0o666 & ~umask)
+def _files_below(folder: Path) -> list[Path]:
+    """Return the files in a folder and its subfolders, relative to it."""
+    return [file.relative_to(folder) for file in sorted(folder.rglob("*")) if file.is_file()]
 
 
-def _move(names: list[Path], work: Path, path: Path, replaced: Path) -> None:
-    """Move files from the folder `work` to `path`, all or none.
+def _move_written(path: Path) -> None:
+    """Move the files that were written whole to their places in the folder `path`, all or none.
 
-    What they replace is kept in `replaced` until all are there, and put back if one cannot be.
+    None of the places is empty meanwhile. Each file that is replaced is kept until all are there,
+    and put back if one cannot be.
     """
-    for name in names:
-        _check_no_folder(path / name)
+    written, replaced = path / _WRITTEN, path / _REPLACED
+    shutil.rmtree(replaced, ignore_errors=True)
     moved: list[Path] = []
     try:
-        for name in names:
+        for name in _files_below(written):
             (path / name).parent.mkdir(parents=True, exist_ok=True)
             if (path / name).exists():
                 (replaced / name).parent.mkdir(parents=True, exist_ok=True)
-                os.replace(path / name, replaced / name)
+                _duplicate(path / name, replaced / name)
             moved.append(name)
-            os.replace(work / name, path / name)
+            os.replace(written / name, path / name)
     except BaseException:
         for name in moved:
-            (path / name).unlink(missing_ok=True)
             if (replaced / name).exists():
                 os.replace(replaced / name, path / name)
+            else:
+                (path / name).unlink(missing_ok=True)
         raise
+    finally:
+        shutil.rmtree(replaced, ignore_errors=True)
+    shutil.rmtree(written, ignore_errors=True)
+
+
+def _duplicate(source: Path, target: Path) -> None:
+    """Give a file a second name, or copy it where the file system has no links."""
+    try:
+        os.link(source, target, follow_symlinks=False)
+    except OSError:
+        shutil.copy2(source, target, follow_symlinks=False)
+
+
+@contextmanager
+def _naming_full_disk(path: Path) -> Iterator[None]:
+    """Name the place in the error where nothing more can be written there."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a file that is there meanwhile; wait for another process that holds it."""
+    while True:
+        lock = path.open("ab")
+        _lock(lock)
+        try:
+            if os.path.samestat(os.fstat(lock.fileno()), path.stat()):
+                break
+        except FileNotFoundError:  # the process that held it has removed the file
+            pass
+        lock.close()
+    try:
+        yield
+    finally:
+        with suppress(PermissionError):  # Windows keeps a file that is open
+            path.unlink(missing_ok=True)
+        lock.close()
+        if sys.platform == "win32":
+            with suppress(PermissionError):
+                path.unlink(missing_ok=True)
+
+
+def _lock(file: BinaryIO) -> None:
+    """Wait for the lock of an open file; file systems without locks have none to wait for."""
+    with suppress(OSError):
+        if sys.platform == "win32":
+            msvcrt.locking(file.fileno(), msvcrt.LK_LOCK, 1)
+        else:
+            fcntl.flock(file, fcntl.LOCK_EX)

@@ -11,6 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from mocap_calib.errors import FormatError, one_line
+from mocap_calib.io.atomic import finish_replacing
 from mocap_calib.recording.names import compose_name
 from mocap_calib.types import Floats
 
@@ -60,6 +61,7 @@ def is_utf16(content: bytes) -> bool:
 def opened(path: Path) -> Iterator[BinaryIO]:
     """Open a file whose bytes are read. Raises FormatError where it cannot be."""
     try:
+        finish_replacing(path.parent)
         with path.open("rb") as file:
             yield file
     except FileNotFoundError:

@@ -6,6 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,6 +76,68 @@ def opened_hdf5(
         yield document.hdf5
 
 
+@contextmanager
+def created_hdf5(path: Path) -> Iterator["h5py.File"]:
+    """Create an HDF5 file to fill. Raises OSError where the disk is full."""
+    import h5py  # noqa: PLC0415 - as in document.py
+
+    with _Sink(path) as sink:
+        try:
+            with h5py.File(sink, "w") as file:
+                file.sink = sink
+                yield file
+        except OSError:
+            if sink.failure is None:
+                raise
+        if sink.failure is not None:
+            raise sink.failure
+
+
+class _Sink(io.FileIO):
+    """A file that takes all that HDF5 writes: HDF5 crashes where it cannot close its file.
+
+    failure: of the system, None where all was written. held: what came after it, with its place:
+        HDF5 reads it again.
+    """
+
+    failure: OSError | None = None
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "w+")
+        self.held: list[tuple[int, bytes]] = []
+
+    def write(self, data: Any) -> int:
+        """Write all of the data, or hold it."""
+        place, left = self.tell(), memoryview(data)
+        try:
+            while left and self.failure is None:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.failure = error
+        if self.failure is not None:
+            self.held.append((place, bytes(data)))
+        return len(data)
+
+    def readinto(self, buffer: Any) -> int:
+        """Read what was written, also what is held."""
+        place, view = self.tell(), memoryview(buffer)
+        read = super().readinto(view)
+        for start, piece in self.held:
+            first, last = max(start, place), min(start + len(piece), place + len(view))
+            if first < last:
+                view[first - place : last - place] = piece[first - start : last - start]
+                read = max(read, last - place)
+        return read
+
+    def truncate(self, size: int | None = None) -> int:
+        """Change the size, unless the file is lost."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = self.failure or error
+            return size or 0
+
+
 def text(value: Any) -> str:
     """Return a string as HDF5 gives it: bytes, text, or an array of one of them."""
     if isinstance(value, np.ndarray):
@@ -141,7 +204,10 @@ def write_names(group: Any, name: str, values: Iterable[str]) -> None:
 
 
 def write_packed(file: "h5py.File", name: str, array: NDArray[Any]) -> None:
-    """Write an array `[frame, ...]` as a dataset that is packed, without the time."""
+    """Write an array `[frame, ...]` as a dataset that is packed, without the time.
+
+    Raises OSError where the disk is full.
+    """
     if not array.size:
         file.create_dataset(name, array.shape, array.dtype, track_times=False)
         return
@@ -155,8 +221,11 @@ def write_packed(file: "h5py.File", name: str, array: NDArray[Any]) -> None:
         shuffle=True,
         track_times=False,
     )
+    sink = getattr(file, "sink", None)
     for block in mapped.frame_slices(len(array), frames):
         dataset[block] = array[block]
+        if sink is not None and sink.failure is not None:
+            raise sink.failure
 
 
 def require_filters(group: Any, source: str, remedy: str) -> None:

@@ -174,7 +174,7 @@ def stored_provenance(path: Path) -> dict[str, Any]:
 
 def write_poses_h5(path: Path, poses: PoseFile, provenance: Mapping[str, Any]) -> None:
     """Write poses of numbered individuals, whole or not at all, without a copy in memory."""
-    with replace_file(path) as work, h5py.File(work, "w") as file:
+    with replace_file(path) as work, hdf5.created_hdf5(work) as file:
         _fill(file, poses, provenance)
 
 
