@@ -19,6 +19,7 @@ from difflib import get_close_matches
 # marks of an argument in a text: its name, its value, its end (characters that no text has)
 _NAME, _VALUE, _END = "\ue000", "\ue001", "\ue002"
 _ARGUMENT = re.compile(f"{_NAME}([^{_VALUE}]*){_VALUE}([^{_END}]*){_END}")
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 _LONGEST = 300  # characters of what and found, which hold what files say
 # arguments of the command that have another name in Python
 _NAMES_IN_PYTHON = {"from": "format", "to": "format", "write": "format"}
@@ -53,7 +54,7 @@ class MocapCalibError(Exception):
         what, expected, found, remedy = (spell_arguments(text, spell) for text in texts)
         where = f"{one_line(what, _LONGEST)}: " if what else ""
         line = f"{where}expected {expected}, found {one_line(found, _LONGEST)}; {remedy}"
-        return " ".join(line.split())
+        return visible(" ".join(line.split()))
 
 
 class FormatError(MocapCalibError):
@@ -129,6 +130,14 @@ def count(number: int, noun: str, plural: str = "") -> str:
     plural: of the noun, where it is not the noun with an s.
     """
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def visible(text: str, *, kept: str = "") -> str:
+    """Return a text with its control characters and lone surrogates escaped as Python does.
+
+    kept: control characters that stay.
+    """
+    return _CONTROL.sub(lambda found: found[0] if found[0] in kept else ascii(found[0])[1:-1], text)
 
 
 def one_line(value: object, width: int = 80) -> str:

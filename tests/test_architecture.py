@@ -105,6 +105,12 @@ def test_what_needs_posix_says_so():
             assert "from platforms import" in text, path
 
 
+def test_text_is_shown_by_one_function():
+    """Which escapes control characters; `outputs` and `convert` write bytes."""
+    calls = {path.name for path in (ROOT / "cli").rglob("*.py") if "click.echo" in path.read_text()}
+    assert calls == {"screen.py", "outputs.py", "convert.py"}
+
+
 def test_the_readme_says_what_each_dependency_is_for():
     setup = ConfigParser()
     setup.read(ROOT / "setup.cfg")

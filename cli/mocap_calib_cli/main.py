@@ -38,7 +38,7 @@ import click
 
 from mocap_calib import __version__
 from mocap_calib.compute import BLAS_THREADS
-from mocap_calib.errors import MocapCalibError, suggest
+from mocap_calib.errors import MocapCalibError, suggest, visible
 from mocap_calib_cli.commands import (
     batch,
     complete,
@@ -60,6 +60,7 @@ from mocap_calib_cli.commands import (
     verify,
 )
 from mocap_calib_cli.docstrings import split_help
+from mocap_calib_cli.screen import echo
 from mocap_calib_cli.typed import explain
 
 _COMMANDS = (
@@ -154,6 +155,7 @@ def _run_command() -> int:
         # without standalone mode click leaves errors to us
         status = group.main(prog_name="mocap-calib", standalone_mode=False)
     except click.ClickException as error:
+        error.message = visible(error.message, kept="\n\t")  # type: ignore[misc]
         error.show()
         return error.exit_code
     except click.Abort as error:
@@ -165,5 +167,5 @@ def _run_command() -> int:
 
 def _complain(message: str, status: int) -> int:
     """Write a message to stderr, and return the status."""
-    click.echo(f"mocap-calib: {message}", err=True)
+    echo(f"mocap-calib: {message}", err=True)
     return status

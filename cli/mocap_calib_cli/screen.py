@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from mocap_calib.errors import count
+from mocap_calib.errors import count, visible
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -43,6 +43,14 @@ class Line(NamedTuple):
     style: str = ""
 
 
+def echo(text: str, *, err: bool = False, end: str = "\n") -> None:
+    """Write text to stdout, or to stderr where `err`, with control characters escaped.
+
+    Names of files may hold any; terminals obey them.
+    """
+    click.echo(visible(text, kept="\n\t") + end, err=err, nl=False)
+
+
 def show(*parts: Table | Line, err: bool) -> None:
     """Write tables and lines to stdout, or to stderr where `err`.
 
@@ -52,7 +60,7 @@ def show(*parts: Table | Line, err: bool) -> None:
     if not (sys.stderr if err else sys.stdout).isatty():
         for part in parts:
             text = part.text if isinstance(part, Line) else "\n".join(format_table(*part[:2]))
-            click.echo(text, err=err)
+            echo(text, err=err)
         return
     from rich.console import Console
     from rich.table import Table as Drawn
@@ -61,7 +69,7 @@ def show(*parts: Table | Line, err: bool) -> None:
     console = Console(stderr=err, highlight=False)
     for part in parts:
         if isinstance(part, Line):
-            console.print(Text(part.text, part.style), soft_wrap=True)
+            console.print(Text(visible(part.text, kept="\n\t"), part.style), soft_wrap=True)
             continue
         drawn = Drawn(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
         for name, number in zip(part.header, part.numeric, strict=True):
@@ -73,7 +81,7 @@ def show(*parts: Table | Line, err: bool) -> None:
                 style="yellow" if name == part.alarming else "",
             )
         for row in part.rows:
-            drawn.add_row(*map(Text, row))
+            drawn.add_row(*(Text(visible(cell)) for cell in row))
         console.print(drawn)
 
 
@@ -129,7 +137,7 @@ class Reporter(AbstractContextManager["Reporter"]):
     def warn(self, *lines: str) -> None:
         """Write lines to stderr that nobody may miss, also when `quiet`."""
         for line in lines:
-            click.echo(line, err=True)
+            echo(line, err=True)
 
     def show(self, *parts: Table | Line) -> None:
         """Show tables and lines in colour on stderr, see `show`."""

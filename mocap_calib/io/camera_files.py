@@ -19,7 +19,7 @@ from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
 from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.crash_guard import guard_hdf5
 from mocap_calib.io.document import Document, as_document
-from mocap_calib.io.file import camera_name, find_repeated, name_media
+from mocap_calib.io.file import find_repeated, name_media, readable_name
 from mocap_calib.io.format import Format, FormatTable, Written
 from mocap_calib.io.formats import (
     anipose,
@@ -210,7 +210,7 @@ def _complete(found: CameraFile, form: Format, document: Document, unit: str | N
     two cameras have one name then, and MismatchError where the file contradicts the user.
     """
     source = document.source
-    cameras = (replace(each, name=camera_name(each.name, source)) for each in found.cameras)
+    cameras = (replace(each, name=readable_name(each.name, source)) for each in found.cameras)
     extrinsics = {compose_name(name): placed for name, placed in found.extrinsics.items()}
     stated = known_unit(found.unit, source)
     if unit and found.unit.strip().lower() == ARBITRARY:

@@ -95,19 +95,23 @@ class Origin:
     source: str
 
 
-def camera_name(name: str, source: str) -> str:
-    """Return the name of a camera as names are compared, see `compose_name`.
+def readable_name(name: str, source: str, owner: str = "camera") -> str:
+    """Return the name of a camera or a keypoint as names are compared, see `compose_name`.
 
-    source: the file that it is of.
+    source: the file that it is of. owner: of the name.
 
-    Raises FormatError where it is no text, as that of a file whose name is not UTF-8: no file that
-    is written could hold it.
+    Raises FormatError where it is no text, as that of a file whose name is not UTF-8, or holds a
+    NUL: no file that is written could hold it.
     """
     try:
         name.encode()
+        is_text = "\0" not in name
     except UnicodeEncodeError:
-        remedy = "rename the file or the camera, or say name=path"
-        raise FormatError(source, "a camera name in UTF-8", name, remedy) from None
+        is_text = False
+    if not is_text:
+        own = owner == "camera"  # whose name may be that of the file
+        remedy = "rename the file or the camera, or use name=path" if own else f"rename the {owner}"
+        raise FormatError(source, f"a {owner} name in UTF-8 without NUL", name, remedy)
     return compose_name(name)
 
 

@@ -16,7 +16,7 @@ from mocap_calib.io.cameras import FILE_NAME, need_names
 from mocap_calib.io.crash_guard import end_calls, guard_hdf5
 from mocap_calib.io.detections import check_cameras, find_camera, frame_number
 from mocap_calib.io.document import Document, as_document
-from mocap_calib.io.file import camera_name, check_no_media, find_repeated
+from mocap_calib.io.file import check_no_media, find_repeated, readable_name
 from mocap_calib.io.format import FormatTable, Written
 from mocap_calib.io.formats import (
     coco,
@@ -179,7 +179,8 @@ def _read(document: Document, format: str | None, options: ReadOptions) -> tuple
         scaled = convert_to_pixels(view, options.size_of(view.camera))
         if options.single_precision:
             scaled = _copy(scaled, np.float32)
-        read.append(replace(scaled, camera=camera_name(view.camera, source)))
+        names = tuple(readable_name(name, source, "keypoint") for name in view.keypoints)
+        read.append(replace(scaled, camera=readable_name(view.camera, source), keypoints=names))
     return tuple(read)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.geometry.rotation import skew
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import find_repeated
+from mocap_calib.io.file import find_repeated, readable_name
 from mocap_calib.io.format import Loss
 from mocap_calib.io.hdf5 import DAMAGE
 from mocap_calib.io.units import unit_factor
@@ -136,16 +136,25 @@ def bare_poses(
 
 
 def check_poses(file: PoseFile, source: str) -> PoseFile:
-    """Return the file as it is.
+    """Return the file, with names as `readable_name` has them.
 
-    Raises FormatError where a name or a frame occurs twice, or frames are not in order.
+    Raises FormatError as that does, where a name or a frame occurs twice, and where frames are not
+    in order.
     """
-    for what, names in (("keypoint", file.poses.keypoints), ("individual", file.individuals)):
+    given = {"keypoint": file.poses.keypoints, "individual": file.individuals}
+    read = {
+        what: tuple(readable_name(name, source, what) for name in names)
+        for what, names in given.items()
+    }
+    for what, names in read.items():
         if twice := ", ".join(find_repeated(names)):
             raise FormatError(source, f"each {what} once", f"{twice} twice", "rename one of them")
     if (np.diff(file.poses.frames) <= 0).any():
         raise FormatError(source, "frames in order, each once", "others", "write the file again")
-    return file
+    if read == given:
+        return file
+    poses = replace(file.poses, keypoints=read["keypoint"])
+    return replace(file, poses=poses, individuals=read["individual"])
 
 
 # --- for writers

@@ -21,7 +21,7 @@ from mocap_calib.config import (
     IntrinsicsConfig,
     Refinement,
 )
-from mocap_calib.errors import MismatchError, argument, count
+from mocap_calib.errors import MismatchError, argument, count, visible
 from mocap_calib.recording.joints import match_names, normalise_name
 from mocap_calib.types import AssumedCamera, Camera, Keypoints2D, Skeleton
 
@@ -59,9 +59,10 @@ def pair_with_cameras(
 def compose_name(name: str) -> str:
     """Return a name in Unicode's normal form NFC, in which names are compared.
 
-    macOS decomposes the names of files: `é` becomes `e` and a combining accent.
+    macOS decomposes the names of files: `é` becomes `e` and a combining accent. Control characters
+    are escaped: terminals and tables would obey them.
     """
-    return unicodedata.normalize("NFC", name)
+    return visible(unicodedata.normalize("NFC", name))
 
 
 def match_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[str, ...]:

@@ -5,6 +5,7 @@
 
 import json
 import os
+import re
 import unicodedata
 from collections.abc import Callable
 from functools import partial
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from conformance import CAMERAS, KEYPOINTS, POSES, SIZE
+from conformance import CAMERAS, CORPUS, KEYPOINTS, POSES, SIZE
 from golden.command import call
 from platforms import linux
 
@@ -402,10 +403,36 @@ def test_files_that_are_written_again_are_no_others(tmp_path):
         mc.write(view, tmp_path, "coco")
 
 
+@pytest.mark.parametrize("name", ["a\0b", "a\ud800"])
+@pytest.mark.parametrize("kind", ["keypoint", "camera", "pose keypoint"])
+def test_a_name_that_no_file_can_hold_is_refused_where_it_is_read(kind, name, tmp_path):
+    """And is escaped in the line."""
+    write_coco(tmp_path, "ab")
+    for path in tmp_path.glob("*.json"):
+        path.write_text(path.read_text().replace('"tail"', json.dumps(name)))
+    read = partial(mc.read_recording, tmp_path)
+    if kind == "camera":
+        text = (CORPUS / "cameras" / "panoptic" / "calibration.json").read_text()
+        (tmp_path / "rig.json").write_text(
+            re.sub(r'(?<="name": )".*?"', lambda _: json.dumps(name), text, count=1)
+        )
+        read = partial(mc.read_cameras, tmp_path / "rig.json")
+    if kind == "pose keypoint":
+        header = f"fnum,{name}_x,{name}_y,{name}_z,{name}_error,{name}_ncams,{name}_score"
+        content = f"{header}\n0,1,2,3,0,2,1\n".encode(errors="surrogatepass")
+        read = partial(mc.read_poses, content)
+    with pytest.raises(mc.FormatError) as refused:
+        read()
+    assert str(refused.value).isprintable()
+    assert re.search("without NUL, found .*; rename|expected UTF-8 text", str(refused.value))
+
+
 @linux
 def test_a_file_name_that_is_not_utf8_is_no_camera_but_can_be_given_one(tmp_path):
     write_coco(tmp_path, "a")
     path = (tmp_path / "a.json").rename(tmp_path / os.fsdecode(b"c\xff4.json"))
-    with pytest.raises(mc.FormatError, match=r"expected a camera name in UTF-8, found .*; rename"):
+    with pytest.raises(
+        mc.FormatError, match=r"expected a camera name in UTF-8 without NUL, found .*; "
+    ):
         mc.read_keypoints(path)
     assert mc.read_keypoints([f"cam4={path}"])[0].camera == "cam4"

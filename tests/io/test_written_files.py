@@ -385,6 +385,37 @@ def test_what_was_filled_in_is_listed_beside_and_remarked(folder):
     assert call("inspect", "filled", folder=folder).status == 0
 
 
+CONTROL = "\x1b]0;PWN\x07=HYPERLINK(1)"
+
+
+@posix
+def test_control_characters_in_names_are_escaped_in_tables_and_on_the_screen(folder):
+    """Formulas of spreadsheets stay the names that they are: others read them back."""
+    keypoints = folder / "scene" / "keypoints"
+    for path in list(keypoints.iterdir()):
+        text = path.read_text().replace('"left_ankle"', json.dumps(CONTROL))
+        path.write_text(text)
+        path.rename(path.with_name(path.name.replace("cam1", CONTROL)))
+    intrinsics = folder / "scene" / "intrinsics.toml"
+    intrinsics.write_text(intrinsics.read_text().replace('"cam1"', json.dumps(CONTROL)))
+    shown = []
+    for words in (
+        ("inspect", "scene/keypoints"),
+        ("inspect", "\x1b[2J"),
+        ("\x1b[2J",),
+        (*RUN[:4], "--no-report", "--json", "-o", "."),
+        (*TRIANGULATE, "matches.csv", "-o", "p.csv"),
+    ):
+        done = call(*words, folder=folder)
+        shown += [done.stdout.decode(), *done.stderr]
+    texts = [path.read_text() for path in folder.glob("*.csv")]
+    assert {each for text in [*texts, *shown] for each in text if not each.isprintable()} == {"\n"}
+    escaped = CONTROL.encode("unicode_escape").decode()
+    assert all(any(each in text for text in [*texts, *shown]) for each in (escaped, f"{escaped}_x"))
+    assert f"\n{escaped},0,0," in (folder / "matches.csv").read_text()
+    assert (folder / "p_0.csv").exists(), "matches are read back"
+
+
 @linux
 def test_a_path_that_is_not_utf8_is_escaped_where_results_name_it(folder):
     keypoints = folder / "scene" / "keypoints"

@@ -11,6 +11,7 @@ import click
 
 from mocap_calib_cli import numbers, option_files, options, values
 from mocap_calib_cli.commands.run import command as run
+from mocap_calib_cli.screen import echo
 from mocap_calib_cli.typed import Texts, Typed, as_command, explain
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def command(typed: Typed) -> int:
     reporter.say(f"{summary}; results in {typed.output}")
     if typed.as_json:
         document = {"recordings": outcomes, "failed": failed, "verdicts": counts}
-        click.echo(json.dumps(document, indent=1, allow_nan=False))
+        echo(json.dumps(document, indent=1, allow_nan=False))
     return int(any(each["error"] or ending.exit_status(each["rig"], typed) for each in outcomes))
 
 
@@ -216,7 +217,7 @@ class _Batch:
         )
         conclude(self.reporter, verdict, request.output, self.typed)
         if complaint:
-            click.echo(f"mocap-calib: {name}: {complaint}", err=True)
+            echo(f"mocap-calib: {name}: {complaint}", err=True)
         self._note(request, outcome)
 
     def _note_failure(self, request: "CalibrationRequest", error: Exception) -> None:
@@ -228,9 +229,9 @@ class _Batch:
 
         line = explain(error)
         if line is None:
-            click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
+            echo("".join(traceback.format_exception(error)), err=True, end="")
             line = " ".join(f"{type(error).__name__}: {error}".split())
-        click.echo(f"mocap-calib: {request.output.name}: {line}", err=True)
+        echo(f"mocap-calib: {request.output.name}: {line}", err=True)
         rig = _REFUSED if isinstance(error, MocapCalibError) else None
         self._note(request, {"status": "failed", "error": line, "rig": rig})
 

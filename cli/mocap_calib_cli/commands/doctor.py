@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from mocap_calib_cli.options import AS_JSON, option
+from mocap_calib_cli.screen import echo
 from mocap_calib_cli.typed import Typed, as_command
 
 _REPORT = (
@@ -33,7 +34,7 @@ def command(typed: Typed) -> int:
 
     found = examine(self_test=not typed.no_self_test)
     if typed.as_json:
-        click.echo(json.dumps(found, indent=1, allow_nan=False))
+        echo(json.dumps(found, indent=1, allow_nan=False))
     else:
         _show(found)
     return int(bool(found["findings"]))
@@ -43,11 +44,11 @@ def _show(found: dict[str, Any]) -> None:
     """Write what was found, and the faults, as text; rich may be the package that is broken."""
     for part, values in found.items():
         if part != "findings":
-            click.echo(part.replace("_", "-"))
+            echo(part.replace("_", "-"))
             for name, value in (values or {}).items():
-                click.echo(f"  {name:24}  {'none' if value in (None, []) else value}")
+                echo(f"  {name:24}  {'none' if value in (None, []) else value}")
     for finding in found["findings"]:
         click.secho(f"wrong: {finding}", fg="red", bold=True)
     if not found["findings"]:
         click.secho("nothing is wrong", fg="green", bold=True)
-    click.echo(_REPORT)
+    echo(_REPORT)

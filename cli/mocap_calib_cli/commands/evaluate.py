@@ -3,10 +3,9 @@
 import json
 from typing import Any
 
-import click
-
 from mocap_calib_cli import values
 from mocap_calib_cli.options import AS_JSON, argument, option
+from mocap_calib_cli.screen import echo
 from mocap_calib_cli.typed import Typed, as_command
 
 
@@ -40,12 +39,12 @@ def command(typed: Typed) -> None:
     found, found_file = inputs.read_rig(typed.rig, "CAMERAS")
     expected, expected_file = inputs.read_rig(typed.reference, "--reference")
     for note in (*found_file.notes, *expected_file.notes):
-        click.echo(note, err=True)
+        echo(note, err=True)
     figures = evaluation_to_dict(evaluate(found, expected))
     if typed.as_json:
-        click.echo(json.dumps(figures, indent=1, allow_nan=False))
+        echo(json.dumps(figures, indent=1, allow_nan=False))
     else:
-        click.echo("\n".join(_describe(figures)))
+        echo("\n".join(_describe(figures)))
 
 
 def _describe(figures: dict[str, Any]) -> list[str]:

@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-import click
-
 from mocap_calib.synthetic.config import EXAMPLES
 from mocap_calib_cli import values
 from mocap_calib_cli.options import Word, argument, option
+from mocap_calib_cli.screen import echo
 from mocap_calib_cli.typed import Typed, as_command
 
 _ABOUT = {
@@ -38,7 +37,7 @@ def command(typed: Typed) -> None:
     """
     if typed.name is None:
         for known, about in _ABOUT.items():
-            click.echo(f"{known:8}{about}")
+            echo(f"{known:8}{about}")
         return
     from mocap_calib.synthetic.scene import simulate
     from mocap_calib.synthetic.scene_files import check_own_files, scene_files, write_scene

@@ -3,9 +3,8 @@
 import json
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from mocap_calib_cli import options
+from mocap_calib_cli.screen import Line, echo, format_number, format_table, keep_lines, show
 from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
@@ -60,9 +59,9 @@ def command(typed: Typed) -> int:
     if typed.sync and not _is_critical(report):
         _compare_clocks(report, typed, file)
     if typed.as_json:
-        click.echo(json.dumps(report, indent=1, allow_nan=False))
+        echo(json.dumps(report, indent=1, allow_nan=False))
     else:
-        click.echo("\n".join(_describe(report)))
+        show(*_describe(report), err=False)
     return int(_is_critical(report))
 
 
@@ -127,10 +126,9 @@ def _compare_clocks(report: dict[str, Any], typed: Typed, file: "CameraFile | No
         report["findings"].append(_finding(message))
 
 
-def _describe(report: dict[str, Any]) -> list[str]:
+def _describe(report: dict[str, Any]) -> list[Line]:
     """Return the report for a person."""
     from mocap_calib.errors import count
-    from mocap_calib_cli.screen import format_table
 
     lines = _describe_cameras(report)
     if report["pairs"]:
@@ -139,18 +137,17 @@ def _describe(report: dict[str, Any]) -> list[str]:
         shared |= {(b, a): frames for (a, b), frames in shared.items()}
         rows = [[name, *(shared.get((name, other), "-") for other in names)] for name in names]
         lines += ["", "frames in which both see somebody:", *format_table(["", *names], rows)]
-    lines.append("")
-    for finding in report["findings"]:
-        level = finding["level"]
-        lines.append(click.style(f"{level}: ", fg=_COLOURS[level], bold=True) + finding["message"])
-    findings = count(len(report["findings"]), "finding")
-    return [*lines, findings if report["findings"] else "nothing stands in the way"]
+    findings = [
+        Line("{level}: {message}".format_map(finding), f"bold {_COLOURS[finding['level']]}")
+        for finding in report["findings"]
+    ]
+    found = count(len(findings), "finding") if findings else "nothing stands in the way"
+    return [*map(Line, [*lines, ""]), *findings, Line(found)]
 
 
 def _describe_cameras(report: dict[str, Any]) -> list[str]:
     """Return a table of the cameras, a line on the joints, and details of each camera."""
     from mocap_calib.errors import count
-    from mocap_calib_cli.screen import format_table
 
     cameras, model = report["cameras"], report["model"]
     if not cameras:
@@ -189,7 +186,6 @@ def _camera_row(camera: dict[str, Any]) -> list[str]:
 def _details(camera: dict[str, Any]) -> list[str]:
     """Return lines on what the table has no room for."""
     from mocap_calib.errors import count
-    from mocap_calib_cli.screen import format_number, keep_lines
 
     missing = [
         f"{name}: {entry['points']} ({entry['share']:.1%})"

@@ -2,9 +2,8 @@
 
 import json
 
-import click
-
 from mocap_calib_cli.options import AS_JSON
+from mocap_calib_cli.screen import echo
 from mocap_calib_cli.typed import Typed, as_command
 
 # of the RMS radius of the visible pose
@@ -32,14 +31,14 @@ def command(typed: Typed) -> None:
 
     cards = models()
     if typed.as_json:
-        click.echo(json.dumps(cards, indent=1))
+        echo(json.dumps(cards, indent=1))
         return
     rows = []
     for name, card in cards.items():
         errors = [format_number(card["held_out_error"][key], 3) for key in _ERRORS]
         rows.append([name, str(len(load_skeleton(name).keypoints)), *errors])
-    click.echo("\n".join(format_table(["model", "joints", *_ERRORS.values()], rows)))
+    echo("\n".join(format_table(["model", "joints", *_ERRORS.values()], rows)))
     for name, card in cards.items():
-        click.echo(f"\n{name}")
+        echo(f"\n{name}")
         for key in ("data", "terms", "command"):
-            click.echo(f"  {key}: {card[key]}")
+            echo(f"  {key}: {card[key]}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib_cli import option_files, options
+from mocap_calib_cli.screen import echo
 from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
@@ -99,9 +100,9 @@ def command(typed: Typed) -> int:
     reporter.say("", *describe.describe_groups(result))
     _say_groups(reporter, written, typed)
     if typed.as_json:
-        click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
+        echo(json.dumps(written[0].report, indent=1, allow_nan=False))
     if complaint := written[0].complaint:
-        click.echo(f"mocap-calib: {complaint}", err=True)
+        echo(f"mocap-calib: {complaint}", err=True)
         return 1
     return ending.exit_status(result.groups[0].verdict, typed)
 

@@ -13,6 +13,7 @@ from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.training import PairsConfig, TrainConfig
 from mocap_calib_cli import names, numbers, values
 from mocap_calib_cli.options import AS_JSON, OUTPUT_FILE, argument, option
+from mocap_calib_cli.screen import echo
 from mocap_calib_cli.typed import Typed, as_command, refused_as_usage
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ def command(typed: Typed) -> None:
     listed = ", ".join(f"{name} {value}" for name, value in errors.items())
     reporter.say(f"held out: {listed}; weights in {typed.output}")
     if typed.as_json:
-        click.echo(json.dumps(errors))
+        echo(json.dumps(errors))
 
 
 def _typed_command() -> str:

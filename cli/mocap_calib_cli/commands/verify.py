@@ -8,6 +8,7 @@ import click
 
 from mocap_calib_cli import names, options, values
 from mocap_calib_cli.options import AS_JSON, argument, option
+from mocap_calib_cli.screen import echo
 from mocap_calib_cli.typed import Typed, as_command
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def command(typed: Typed) -> int:
     absent = [name for name in given.names if name not in rig.names]
     if typed.as_json:
         figures = _figures(found) | {"without_keypoints": absent}
-        click.echo(json.dumps(figures, indent=1, allow_nan=False))
+        echo(json.dumps(figures, indent=1, allow_nan=False))
     else:
         screen.show(*_describe(found, absent), err=False)
     if form:
@@ -163,13 +164,13 @@ def _write(output: "Path", form: str, given: "CameraRig", found: "Verification")
     from mocap_calib.io.provenance import provenance
 
     if len(found.cameras) == 2 and found.named:
-        click.echo(f"{output}: not written, nobody can say which of two cameras moved", err=True)
+        echo(f"{output}: not written, nobody can say which of two cameras moved", err=True)
         return
     lost = [camera.name for camera in found.cameras if camera.word == "inconsistent"]
     rig = _mend(given, found).select([name for name in given.names if name not in lost])
     notes = write_cameras(output, rig, form, provenance("verify", **found.provenance))
     for note in (*notes, *([f"{', '.join(lost)}, which nothing places"] if lost else [])):
-        click.echo(f"{output}: without {note}", err=True)
+        echo(f"{output}: without {note}", err=True)
 
 
 def _mend(given: "CameraRig", found: "Verification") -> "CameraRig":
