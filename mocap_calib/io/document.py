@@ -35,6 +35,7 @@ _DAMAGED = "the file is cut or damaged: export it again"
 _LISTED_TEXT = 40  # characters of a file in a message
 _HEAD = 65536  # bytes of a file that formats are told by
 _BLOCK = 60_000  # bytes that are read at a time
+_SEPARATORS = ",;\t"  # of the cells of tables; a comma where several occur equally often
 _TYPES = {
     "array": "a list",
     "float": "a number",
@@ -203,14 +204,24 @@ class Document:
             yield from io.StringIO(text, newline="")
             encoding = "utf-8"
 
+    @property
+    def _first_line(self) -> str:
+        """The first line that is not blank."""
+        return next((line for line in self.head.splitlines() if line.strip()), "")
+
+    @cached_property
+    def separator(self) -> str:
+        """What separates the cells of a table: the separator that its first line has most of."""
+        return max(_SEPARATORS, key=self._first_line.count)
+
     @cached_property
     def header(self) -> tuple[str, ...]:
         """The cells of the first line that is not blank; none where it holds control characters."""
-        lines = (line for line in self.head.splitlines() if line.strip())
-        line = next(lines, "")
+        line = self._first_line
         if not line.isprintable() and "\t" not in line:
             return ()
-        return tuple(cell.strip() for cell in next(csv.reader([line])))
+        cells = next(csv.reader([line], delimiter=self.separator))
+        return tuple(cell.strip() for cell in cells)
 
     # --- trees
 

@@ -28,8 +28,10 @@ from mocap_calib.io.formats import (
     nwb,
     openpose,
     sleap,
+    sleap_csv,
     tables,
     ultralytics,
+    wide_tables,
 )
 from mocap_calib.io.read_options import ReadOptions, apply_offsets, convert_to_pixels, split_views
 from mocap_calib.types import Keypoints2D, Reals
@@ -52,9 +54,10 @@ KEYPOINT_FORMATS = FormatTable(
         nwb.KEYPOINTS,
         dannce.KEYPOINTS,
         deeplabcut.CSV,
-        sleap.TABLE,
+        sleap_csv.FORMAT,
         tables.CALISCOPE,
         tables.PLAIN,
+        wide_tables.FORMAT,
         ultralytics.FORMAT,
     ),
 )

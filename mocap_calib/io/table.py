@@ -4,9 +4,12 @@
     table.text("frame")  # `[row]` cells of a column of text
     table.numbers        # `[row, 3]`, NaN where a cell is empty or the column is absent
 
-Columns are named by their headings, or by their index where the header has several rows
-(`header_rows`); other columns are passed over. A cell that is no number, a row that is cut and
+Columns are named by their headings, in any case, or by their index, as where the header has several
+rows (`header_rows`); other columns are passed over. A cell that is no number, a row that is cut and
 cells beyond the header are refused with the number of the row.
+
+Cells are separated by commas, semicolons or tabs. Where the separator is not a comma, numbers may
+have a decimal comma, in all cells of a file or in none. `NA` and its like are empty cells.
 """
 
 import csv
@@ -29,6 +32,14 @@ Column = int | str  # its index, or its heading
 _PIECE = 1 << 17  # numbers: some are under way on each thread, of 25 characters each
 _ROWS = msgspec.json.Decoder(list[list[float]])
 _NUMBERS = msgspec.json.Decoder(list[float])
+_ABSENT = (
+    "",
+    "na",
+    "n/a",
+    "#n/a",
+    "null",
+    "none",
+)  # cells without a number, as R, Excel write them
 
 
 @dataclass(frozen=True)
@@ -56,7 +67,7 @@ class Table:
 
 def read_rows(document: Document, first_line: int = 0) -> Iterator[tuple[int, list[str]]]:
     """Yield the line number and the cells of each row that is not empty. Raises FormatError."""
-    reader = csv.reader(document.lines(first_line))
+    reader = csv.reader(document.lines(first_line), delimiter=document.separator)
     try:
         for cells in reader:
             if any(cells):
@@ -70,7 +81,7 @@ def read_table(
 ) -> Table:
     """Read columns of a table.
 
-    texts, numbers: the columns that are read.
+    texts, numbers: the columns that are read, all by heading or all by index.
 
     Raises FormatError, also where a heading occurs twice, or there is no row below the header.
     """
@@ -79,16 +90,19 @@ def read_table(
     first_line = header[-1][0]
     width = max(len(cells) for _, cells in header)
     places: dict[Column, int] = {place: place for place in range(width)}
-    if header_rows == 1:
+    if any(isinstance(column, str) for column in (*texts, *numbers)):
         headings = [cell.strip() for cell in header[0][1]]
-        if len(set(headings)) < len(headings):
+        named = list(filter(None, headings))
+        if len(set(named)) < len(named):
             remedy = "rename or remove columns"
             raise document.refuse("each column once", ",".join(headings), remedy)
+        places |= {heading.casefold(): place for place, heading in enumerate(headings)}
         places |= {heading: place for place, heading in enumerate(headings)}
     text_places = {column: places[column] for column in texts if column in places}
     number_places = [places.get(column, width) for column in numbers]
     values, is_all = np.empty((0, width)), False
-    if [*text_places.values(), *number_places] == list(range(width)) and len(text_places) == 1:
+    is_plain = [*text_places.values(), *number_places] == list(range(width))
+    if is_plain and len(text_places) == 1 and document.separator == ",":
         values, is_all = _read_plain(document, first_line, width)
     lines = list(range(first_line + 1, first_line + 1 + len(values)))
     numbers_of_rows = tuple(map(str, values[:, 0].astype(np.int64).tolist()))
@@ -96,11 +110,12 @@ def read_table(
     further, first_cell = array("d"), max(text_places.values(), default=-1) + 1
     if len(values):
         rows = iter(()) if is_all else read_rows(document, first_line + len(values))
+    parse = _parse_number if document.separator == "," else _LocalNumbers().parse
     for line, cells in rows:
         where = f"{document.source}: row {line}"
         is_missing = len(cells) > first_cell and not any(cells[first_cell:])
         row = _fit(cells, width, where, may_end=is_missing)
-        further.extend(_parse_number(row[place], where) for place in number_places)
+        further.extend(parse(row[place], where) for place in number_places)
         kept.append([row[place].strip() for place in text_places.values()])
         lines.append(line)
     if not lines:
@@ -190,13 +205,36 @@ def _fit(cells: list[str], width: int, where: str, *, may_end: bool) -> list[str
     return [*within, *[""] * (width + 1 - len(within))]
 
 
-def _parse_number(cell: str, where: str) -> float:
-    """Return the number in a cell, NaN where it is blank. Raises FormatError."""
+def _parse_number(cell: str, where: str, mark: str = ".") -> float:
+    """Return the number in a cell, NaN where it is empty. Raises FormatError.
+
+    mark: the decimal mark, a point or a comma.
+    """
     try:
-        return float(cell) if cell.strip() else np.nan
+        if mark == ".":
+            return float(cell)
+        if "." not in cell:
+            return float(cell.replace(mark, "."))
     except ValueError:
-        expected = "a number with a decimal point"
-        raise FormatError(where, expected, cell, "write numbers like 12.5") from None
+        if cell.strip().casefold() in _ABSENT:
+            return np.nan
+    expected = f"a number with a decimal {'point' if mark == '.' else 'comma'}"
+    raise FormatError(where, expected, cell, f"write numbers like 12{mark}5")
+
+
+class _LocalNumbers:
+    """Parse the numbers of a table whose cells are not separated by commas.
+
+    All have a decimal comma, or all a decimal point: the first that has either decides.
+    """
+
+    def __init__(self) -> None:
+        self._mark = ""
+
+    def parse(self, cell: str, where: str) -> float:
+        """Return the number in a cell, NaN where it is empty. Raises FormatError."""
+        self._mark = self._mark or next((mark for mark in cell if mark in ".,"), "")
+        return _parse_number(cell, where, self._mark or ".")
 
 
 # --- writing

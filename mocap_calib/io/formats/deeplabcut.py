@@ -7,9 +7,9 @@ are detections in any order; labelled frames have no likelihood; tables of 3D po
 a column `z`.
 
 Traps of the .csv: 3 or 4 header rows; the index takes one column (a frame number or an image path)
-or three (folder, video, image), the latter two without a heading; the row `scorer` is shorter than
-the others in some files; Lightning Pose adds a last column `set`; spreadsheets write semicolons and
-decimal commas.
+or three (folder, video, image), the latter two without a heading; pandas and R put a column of row
+numbers before it; the row `scorer` is shorter than the others in some files; Lightning Pose adds a
+last column `set`.
 
 Traps of SuperAnimal's JSON, a list of frames with a list of individuals in each: individuals come
 in any order; keypoints have no names (the .h5 beside it has them); the frame number is the place
@@ -49,7 +49,10 @@ _COORDS = ("x", "y", "likelihood")
 _UNIQUE = "single"  # the pseudo-individual of unique body parts
 _AGAIN = "export it from DeepLabCut again"
 _SCORER = "mocap-calib"
-_FIRST_CELL = re.compile(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]')
+# perhaps behind the empty heading of a column of row numbers
+_FIRST_CELL = re.compile(
+    rb'(\xef\xbb\xbf)?((""|index)?[,;\t])?"?(scorer|individuals|bodyparts|coords)"?[,;\t]'
+)
 # what ensemble Kalman smoothers write beside the coordinates
 _SPREAD = re.compile(r"[xy]_(ens_median|ens_var|posterior_var|var)|zscore|nll|ensemble_std")
 
@@ -179,32 +182,30 @@ def table_of_view(view: Keypoints2D) -> LabelledTable:
 
 
 def sniff_csv(document: Document) -> bool:
-    """Return whether the first cell names a header row.
-
-    The wrong separator is recognised so that `read_csv` can refuse it in words.
-    """
+    """Return whether the first cell, or the one behind row numbers, names a header row."""
     return _FIRST_CELL.match(document.start[:64]) is not None
 
 
 def read_csv(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the camera of a DeepLabCut or Lightning Pose .csv. Raises FormatError."""
     header: dict[str, list[str]] = {}
+    place = int(document.header[:1] not in [(level,) for level in LEVELS])  # of levels and frames
     for _, cells in islice(read_rows(document), len(LEVELS)):
-        if cells[0] not in LEVELS:
+        if len(cells) <= place or cells[place] not in LEVELS:
             break
-        header[cells[0]] = cells
-    headed = [column for column, cell in enumerate(header.get("coords", ())) if column and cell]
+        header[cells[place]] = cells
+    coords = header.get("coords", [])
+    headed = [column for column, cell in enumerate(coords) if column > place and cell]
     if not headed:
         found = document.head.splitlines()[0][:60]
-        expected = "commas between cells and a header row `coords`"
-        raise document.refuse(expected, found, "export it with commas")
+        raise document.refuse("a header row `coords`", found, _AGAIN)
     first, end = headed[0], headed[-1] + 1
     levels = tuple(level for level in LEVELS if level in header)
     labels = [(header[level] + [""] * end)[first:end] for level in levels]
     # no one needs the scorers
     if any("" in row for level, row in zip(levels, labels, strict=True) if level != "scorer"):
         raise document.refuse("header rows of one length", "an empty cell among them", _AGAIN)
-    index = range(first)
+    index = range(place, first)
     table = read_table(document, texts=index, numbers=range(first, end), header_rows=len(header))
     labelled = LabelledTable(
         levels=levels,

@@ -1,4 +1,4 @@
-"""Read and write SLEAP's analysis .h5; read its project files .slp and its analysis .csv.
+"""Read and write SLEAP's analysis .h5; read its project files .slp.
 
 The analysis .h5 holds `tracks` with an axis of nodes and one of frames. Traps: the axes come as
 MATLAB orders them, or as the user of sleap-io did, which its attribute `dims` says; without it only
@@ -12,17 +12,10 @@ camera; it has been the same from format 1.0 on. It is read with h5py alone, sin
 half a gigabyte. Traps: a prediction that a user has corrected lies beside the correction; before
 format 1.1 the centre of a pixel was at 0.5; points made by hand have no score; frames without an
 instance are absent; a package, which holds the images, has the paths of its videos elsewhere.
-
-The analysis .csv has a row per detection, and the header
-`track,frame_idx,instance.score,<node>.x,<node>.y,<node>.score,...`. Traps: frames without a
-detection are absent; `track` is empty where no one was followed.
 """
 
 import io
-import itertools
 import json
-from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -30,7 +23,6 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, argument
 from mocap_calib.io.detections import (
-    ABSENT_FRAMES,
     GAPS,
     SCORES,
     SIZES,
@@ -40,10 +32,8 @@ from mocap_calib.io.detections import (
 )
 from mocap_calib.io.document import Document
 from mocap_calib.io.format import Format
-from mocap_calib.io.formats.tables import views_of_points
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.read_options import ReadOptions
-from mocap_calib.io.table import read_table
 from mocap_calib.types import Floats, Keypoints2D
 
 _ANALYSIS_INSTEAD = "export the analysis .h5 from SLEAP"
@@ -339,47 +329,4 @@ PROJECT = Format(
     title="SLEAP .slp",
     sniff=sniff_project,
     read=read_project,
-)
-
-
-# --- csv
-
-
-def sniff_csv(document: Document) -> bool:
-    """Return whether the header has track and frame_idx."""
-    return {"track", "frame_idx"} <= set(document.header)
-
-
-def read_csv(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """Read one camera; tracks are individuals where all rows have one. Raises FormatError."""
-    header = document.header
-    nodes = [name.removesuffix(".x") for name in header if name.endswith(".x")]
-    if not nodes or not all(f"{node}.y" in header for node in nodes):
-        remedy = "export the analysis .csv from SLEAP again"
-        raise document.refuse("columns <node>.x and <node>.y", ",".join(header), remedy)
-    columns = [f"{node}.{part}" for node in nodes for part in ("x", "y", "score")]
-    table = read_table(document, texts=("track", "frame_idx"), numbers=columns)
-    frames, tracks = table.text("frame_idx"), table.text("track")
-    tracked = all(tracks)
-    if not tracked:  # a row's number among those of its frame
-        count = defaultdict[str, Iterator[int]](itertools.count)
-        tracks = tuple(str(next(count[frame])) for frame in frames)
-    return views_of_points(
-        document,
-        camera=(document.camera,) * (len(nodes) * len(frames)),
-        frame=frames * len(nodes),
-        identity=tracks * len(nodes),
-        keypoint=[node for node in nodes for _ in frames],
-        values=table.numbers.reshape(len(frames), -1, 3).swapaxes(0, 1).reshape(-1, 3),
-        lines=table.lines * len(nodes),
-        tracked=tracked,
-        remarks=(ABSENT_FRAMES,),
-    )
-
-
-TABLE = Format(
-    name="sleap-csv",
-    title="SLEAP analysis .csv",
-    sniff=sniff_csv,
-    read=read_csv,
 )

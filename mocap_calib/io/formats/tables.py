@@ -34,6 +34,8 @@ from mocap_calib.io.table import read_table
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _NEEDED = {"frame", "keypoint", "x", "y"}
+# the heading of a column of row numbers: of pandas and R, and of pandas' own file read again
+ROW_NUMBERS = re.compile(r"|index|unnamed: *\d+")
 _KNOWN = ("camera", "frame", "individual", "instance", "keypoint", "x", "y", "score")
 
 
@@ -126,16 +128,17 @@ def _instances(names: list[str], *, tracked: bool, source: str) -> Ints:
 
 
 def sniff(document: Document) -> bool:
-    """Return whether the header has the columns that are needed, whatever separates them.
+    """Return whether the header has three of the columns that are needed, or all of them.
 
-    The wrong separator is recognised so that `read` can refuse it in words.
+    A table that lacks one is recognised so that `read` can name the column.
     """
-    return set(_header_cells(document)) >= _NEEDED
+    return len(_NEEDED & _headings(document)) >= len(_NEEDED) - 1
 
 
-def _header_cells(document: Document) -> list[str]:
-    """Return the header's cells, whatever separates them."""
-    return [cell.strip() for cell in re.split(r"[,;\t]", ",".join(document.header))]
+def _headings(document: Document) -> set[str]:
+    """Return the headings in lower case, without that of a column of row numbers."""
+    headings = {cell.casefold() for cell in document.header}
+    return {heading for heading in headings if not ROW_NUMBERS.fullmatch(heading)}
 
 
 def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
@@ -143,15 +146,14 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 
     Raises FormatError.
     """
-    header = document.header
-    if tuple(_header_cells(document)) != header:
-        expected = "commas between cells and points in numbers"
-        raise document.refuse(expected, header[0], "export it so")
-    names = set(header)
-    if not _NEEDED <= names <= set(_KNOWN) or {"individual", "instance"} <= names:
+    names, found = _headings(document), ",".join(document.header)
+    if missing := [name for name in _KNOWN if name in _NEEDED - names]:
+        expected = f"the columns {','.join(_KNOWN)}"
+        raise document.refuse(f"a column {missing[0]} among {expected}", found, "add it")
+    if not names <= set(_KNOWN) or {"individual", "instance"} <= names:
         among = "(individual or instance; camera, they and score may be absent)"
         expected = f"the columns {','.join(_KNOWN)} {among}"
-        raise document.refuse(expected, ",".join(header), "rename or remove columns")
+        raise document.refuse(expected, found, "rename or remove columns")
     identity = "instance" if "instance" in names else "individual"
     table = read_table(
         document, texts=("camera", "frame", identity, "keypoint"), numbers=("x", "y", "score")
