@@ -441,30 +441,6 @@ class MovedConfig:
 
 
 @dataclass(frozen=True)
-class VerifyConfig:
-    """Whether a calibration goes with keypoints, and which camera moved since.
-
-    least_error_deg: what models of lenses and detectors do not know of any camera, at least.
-    significance: chance that any camera of a rig that did not move is said to have moved, if the
-        errors of the rest were normal: a ratio of variances of 29, 10, 7 and 6 for 3, 4, 5 and 6
-        cameras. Measured by references of fifteen recordings: 0.2 to 5.2, and 69 of a mouse whose
-        cameras are not determined, where none is named; where one camera is turned by 1 degree,
-        10 and more in nine of them (medians 32 to 280), median 11 in one of few keypoints
-        (Pose2Sim), and 1.5 to 4 where references differ by 2 to 6 degrees from ours.
-    least_turn_deg: by which a camera must have turned, or shifted as seen from a rig's size away.
-    pair_disagreement: variance, in that of their errors, up to which cameras go together: two
-        cameras, with no third one to compare with, and all that are in place, whose differences
-        are else said. Measured: 0.1 to 5 in eleven recordings, 9 to 30 in three whose references
-        differ by 2 to 6 degrees from ours.
-    """
-
-    least_error_deg: float = 0.02
-    significance: float = 3e-3
-    least_turn_deg: float = 0.3
-    pair_disagreement: float = 10.0
-
-
-@dataclass(frozen=True)
 class MendConfig:
     """What is done where the input of a camera is wrong.
 
@@ -657,7 +633,6 @@ class Config:
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     moved: MovedConfig = MovedConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
-    verify: VerifyConfig = VerifyConfig()
     mend: MendConfig = MendConfig()
     world: WorldConfig = WorldConfig()
 

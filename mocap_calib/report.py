@@ -23,6 +23,7 @@ from mocap_calib.results import (
     Fault,
     GroupResult,
     PairwiseCalibration,
+    Verdict,
 )
 from mocap_calib.rig.averaging import best_scores
 from mocap_calib.types import ARBITRARY, EstimatedCamera, Floats
@@ -268,19 +269,26 @@ def _describe_verdict(group: GroupResult) -> dict[str, Any]:
     reversal = group.adjusted.depth_reversed_rig is not None
     return {
         "rig": verdict.word,
-        "expected_error_deg": finite_or_none(verdict.error_deg),
         "reasons": [reason.render(spell_as_option) for reason in verdict.reasons],
-        "causes": [
-            {"name": cause.name, "camera": cause.camera or None, "error_deg": cause.error_deg}
-            for cause in verdict.causes
-        ],
+        **describe_assessment(verdict),
         "rotation_sigma_deg": median_and_max(np.degrees(uncertainty.covariance.rotation_sigma)),
         "centre_sigma_percent": median_and_max(100 * uncertainty.covariance.centre_sigma),
         "intrinsics_turn_deg": median_and_max(np.degrees(uncertainty.intrinsics_turn)),
         "least_sure_pair": _least_sure_pair(group),
-        "checks": [_describe_check(check) for check in verdict.checks],
         "reversal": "not observable" if reversal else "none found",
         "translation": "not observable" if uncertainty.weak_perspective.any() else "observed",
+    }
+
+
+def describe_assessment(verdict: Verdict) -> dict[str, Any]:
+    """Return the expected error of the least certain camera in degrees, its causes and checks."""
+    return {
+        "expected_error_deg": finite_or_none(verdict.error_deg),
+        "causes": [
+            {"name": cause.name, "camera": cause.camera or None, "error_deg": cause.error_deg}
+            for cause in verdict.causes
+        ],
+        "checks": [_describe_check(check) for check in verdict.checks],
     }
 
 

@@ -751,7 +751,7 @@ class VerifiedCamera(Record):
     shift: float = np.nan
     shift_sigma: float = np.nan
     relative_shift: float = np.nan
-    focal_change: float = 0.0
+    focal_change: float = np.nan
     error_px: float = np.nan
     refitted_px: float = np.nan
 
@@ -765,8 +765,9 @@ class VerifiedCamera(Record):
 class Verification(Record):
     """How well a given calibration fits keypoints, and which cameras have moved.
 
-    cameras: in the order of the recording. verdict: how far the calibration can be trusted.
-    reasons: why it is no better, and what to do about it; `str` of each is a line.
+    cameras: in the order of the recording. assessment: how far the calibration can be trusted with
+        the cameras that moved where they are now. reasons: what is wrong with cameras, why the
+        calibration is no better, and what to do about it; `str` of each is a line.
     rig: the calibration with the cameras that moved, or have another focal length, where they are
         now; all else as given, in its coordinates and its unit.
     clocks: how the clocks of the cameras differ, beyond what the calibration says of them.
@@ -774,7 +775,7 @@ class Verification(Record):
     """
 
     cameras: tuple[VerifiedCamera, ...]
-    verdict: VerdictWord
+    assessment: Verdict
     reasons: tuple[Cause, ...]
     rig: CameraRig
     clocks: Clocks
@@ -783,6 +784,11 @@ class Verification(Record):
     def __getitem__(self, name: str) -> VerifiedCamera:
         """Return the camera of that name. Raises KeyError."""
         return self.cameras[find_name(tuple(camera.name for camera in self.cameras), name)]
+
+    @property
+    def verdict(self) -> VerdictWord:
+        """The verdict on the calibration in one of the words of `VERDICTS`."""
+        return self.assessment.word
 
     @property
     def named(self) -> tuple[str, ...]:

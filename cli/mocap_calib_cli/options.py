@@ -24,7 +24,7 @@ cameras: File or folder with the cameras' intrinsics, in any format of docs/form
     stdin.
 refine: What of the intrinsics is estimated with the rig: none, focal (length), or focal+k1 (and the
     first coefficient of the lens). [default: none, without --cameras focal+k1]
-centre_uncertainty: How well the principal points in INTRINSICS are known, as 0.2% of the longer
+centre_uncertainty: How well the given principal points are known, as 0.2% of the longer
     image side. [default: 0.5%, and less where they are far from the middle of the image]
 focal_uncertainty: How good the focal lengths in INTRINSICS are, as 5%; they are estimated within
     it. [default: 50%]

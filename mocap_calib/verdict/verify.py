@@ -1,7 +1,8 @@
-"""Compare a given calibration with the keypoints of moving subjects.
+"""Judge a given calibration by the keypoints of moving subjects.
 
 Match by the given rig -> search for the cameras that match nothing -> adjust from the given rig ->
-compare the two rigs -> refit the cameras that moved, in the given coordinates.
+compare the two rigs -> refit the cameras that moved, in the given coordinates. The keypoints' own
+rig is judged as that of a run; what the calibration differs from it by is one more cause.
 """
 
 from collections.abc import Sequence
@@ -13,27 +14,33 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.adjust.camera_fit import pose_of
-from mocap_calib.adjust.covariance import cautious_covariances, covariance_of, fit_again
-from mocap_calib.adjust.refine import adjust_until_stable
+from mocap_calib.adjust.covariance import cautious_covariances, fit_again
+from mocap_calib.adjust.refine import adjust_once, adjust_until_stable
 from mocap_calib.adjust.resection import find_lost_camera
 from mocap_calib.clocks.estimate import clocks_from, clocks_of_rates, estimate_clocks, retime
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import VERDICT_LIMITS_DEG, Config
+from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError, spell_as_option
 from mocap_calib.geometry.lens import change_intrinsics, pixels_from_points
-from mocap_calib.geometry.rotation import rig_size
+from mocap_calib.geometry.rotation import angle_between, rig_size
 from mocap_calib.io.provenance import judgement, round_sigma
 from mocap_calib.lift import RememberedLift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
-from mocap_calib.recording.sampling import choose_sample_frames, evenly_spaced, take_sample
+from mocap_calib.recording.sampling import (
+    choose_sample_frames,
+    evenly_spaced,
+    take_sample,
+    with_cameras,
+)
 from mocap_calib.results import (
+    VERDICTS,
     Adjusted,
     Cause,
     Clocks,
+    GroupResult,
     LiftedPoses,
     Matches,
     PlaceWord,
-    RigCovariance,
     Verdict,
     Verification,
     VerifiedCamera,
@@ -54,13 +61,12 @@ from mocap_calib.types import (
     silent,
 )
 from mocap_calib.verdict.checks import OPEN_DEG
-from mocap_calib.verdict.evaluation import RigChange, find_changes
-from mocap_calib.verdict.verdict import expected_error
-
-Names = tuple[str, ...]
+from mocap_calib.verdict.evaluation import RigChange, find_changes, lay_over
+from mocap_calib.verdict.verdict import conclude_without_pairs, expected_error, judge
 
 _CALIBRATE = "calibrate again"
 _RECORD = "record longer, with subjects that move through the room"
+_Known = tuple[Floats, Floats]  # points `[N, 3]` and their pixels `[N, 2]` in a view
 # meaning and remedy of a camera's word; {move}, {change} and {camera} are filled in
 _REASONS = {
     "moved": ("{camera} {move}", f"put it back, or {_CALIBRATE}"),
@@ -109,7 +115,7 @@ def verify(
         recording = retime(recording, clocks)
         sample = take_sample(recording, choose_sample_frames(recording, config.sample))
         lifted = lift_sample(sample)
-        found = verify_rig(sample, lifted, rig, config, progress=progress)
+        found = verify_rig(sample, lifted, rig, config, clocks=clocks, progress=progress)
     return replace(found, clocks=clocks.after(said))
 
 
@@ -119,37 +125,51 @@ def verify_rig(
     rig: CameraRig,
     config: Config,
     *,
+    clocks: Clocks | None = None,
     progress: Progress,
 ) -> Verification:
-    """Return how far a rig agrees with a sample of a recording. Raises as `verify` does."""
+    """Return how far a rig agrees with a sample of a recording. Raises as `verify` does.
+
+    clocks: of the recording, by default one.
+    """
     sees = sample.detected.any(2)
     with_others = sample.detected.sum(2) * (sees.sum(0) - sees >= 2)
     enough = with_others.sum(1) >= config.moved.least_detections  # [view] may be placed by others
     views, adjusted = _adjust_from(sample, lifted, rig, enough, config, progress=progress)
     part, given = sample.select(views=views), rig.select(views)
     fitted = fit_again(part, adjusted.rig, adjusted.matches, config)
-    covariance = covariance_of(fitted, config)
-    change = find_changes(given, adjusted.rig, cautious_covariances(fitted, config), config)
+    change = find_changes(given, adjusted.rig, cautious_covariances(fitted, config))
+    now, moved = given, change.moved & (len(given) > 2)  # two do not show which one moved
+    for view in np.flatnonzero(moved).tolist():
+        now = _with_camera(now, view, given.cameras[view], pose_of(change.refitted, view))
     placed = PlacedCameras.of(part, adjusted.rig, adjusted.matches, config)
-    compared, refitted = _compare(part, replace(placed, rig=given), change, config)
-    checked = {each.name: each for each in compared}
-    # cameras that contradict each other do not show that another one is inconsistent
-    known = sum(camera.word != "not checked" for camera in checked.values()) >= 2
+    known = _known_points(part, replace(placed, rig=now), config)
+    now = _refocus(given, now, known, moved, config)
+    lost = sorted({*np.array(rig.names)[enough].tolist()} - {*given.names})
+    part, own = with_cameras(part, now.cameras), replace(adjusted.rig, cameras=now.cameras)
+    adjusted = replace(adjusted, rig=adjust_once(part, own, adjusted.matches, config))
+    bodies = lifted.select(views)
+    result = conclude_without_pairs(part, bodies, adjusted.rig, adjusted, config)
+    (group,) = judge(replace(result, clocks=clocks or result.clocks)).groups
+    verdict = assess_calibration(group, now, lost)
+    if verdict.word == VERDICTS[-1]:  # no camera is named
+        now, lost = given, []
+        change = replace(change, moved=np.zeros(len(given), dtype=bool))
+    compared = _compare(given, now, known, change, verdict)
     cameras = tuple(
-        checked.get(name)
-        or VerifiedCamera(name, "inconsistent" if known and seen else "not checked")
-        for name, seen in zip(rig.names, enough.tolist(), strict=True)
+        compared.get(name)
+        or VerifiedCamera(name, "inconsistent" if name in lost else "not checked")
+        for name in rig.names
     )
-    verdict = assess_calibration(cameras, change, covariance, given.names)
     for place, view in enumerate(views.tolist()):
-        rig = _with_camera(rig, view, refitted.cameras[place], pose_of(refitted, place))
+        rig = _with_camera(rig, view, now.cameras[place], pose_of(now, place))
     return Verification(
         cameras=cameras,
-        verdict=verdict.word,
+        assessment=verdict,
         reasons=(*explain_cameras(cameras), *verdict.reasons),
         rig=rig,
         clocks=Clocks.of_one(sample),
-        provenance=_provenance(cameras, verdict, given.names, covariance),
+        provenance=_provenance(cameras, verdict, group),
     )
 
 
@@ -216,58 +236,64 @@ def _find_lost_cameras(
 # --- where the cameras that moved are now
 
 
-def _compare(
-    sample: Sample, placed: PlacedCameras, change: RigChange, config: Config
-) -> tuple[list[VerifiedCamera], CameraRig]:
-    """Return how each camera of the given rig differs from it, and the rig as the cameras are now.
-
-    Moved cameras are where the adjustment has them, or where they were given with another focal
-    length, if their images fit that as well. Of two cameras it is not known where they are.
-    """
-    given, cameras = placed.rig, []
-    size, moved = rig_size(given), change.moved & (len(given) > 2)
-    determined = np.rad2deg(change.sigma[:, 0]) < VERDICT_LIMITS_DEG[2]
-    now = given
-    for view in np.flatnonzero(moved).tolist():
-        now = _with_camera(now, view, given.cameras[view], pose_of(change.refitted, view))
-    by_moves = now
+def _known_points(sample: Sample, placed: PlacedCameras, config: Config) -> list[_Known]:
+    """Return what each view sees, as the others place it; of two cameras, as both do."""
     frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
-    seen = gather_tracks(sample, placed.matches, frames)
-    # rays may miss points by as much as in an adjustment: the rig may be a little off for all
-    outlier = config.adjust.outlier
-    loose = replace(config, triangulate=replace(config.triangulate, outlier=outlier))
-    for view, name in enumerate(given.names):
-        without, by_others = (view if len(given) > 2 else None), replace(placed, rig=by_moves)
-        bodies = place_bodies(sample, by_others, frames, loose, seen=seen, without=without)
+    seen, known = gather_tracks(sample, placed.matches, frames), []
+    for view in range(len(placed.rig)):
+        without = view if len(placed.rig) > 2 else None
+        bodies = place_bodies(sample, placed, frames, config, seen=seen, without=without)
         points, pixels = bodies.reshape(-1, 3), seen.pixels[view].T
         both = np.isfinite(points[:, 0]) & np.isfinite(pixels[:, 0])
-        known = points[both], pixels[both]
-        word: PlaceWord = "in place" if determined[view] else "not checked"
-        focal, error = 0.0, _median_error(*known, by_moves, view)
-        if change.moved[view]:
-            word = "moved"
-        if moved[view]:
-            camera = _zoomed(*known, given, view)
-            zoomed = _with_camera(now, view, camera, pose_of(given, view))
-            other = _median_error(*known, zoomed, view)
-            if other <= config.uncertainty.same_misfit * error:
-                word, now, error = "focal", zoomed, other
-                focal = float(np.log(camera.focal / given.cameras[view].focal))
+        known.append((points[both], pixels[both]))
+    return known
+
+
+def _refocus(
+    given: CameraRig, now: CameraRig, known: list[_Known], moved: Bools, config: Config
+) -> CameraRig:
+    """Return the rig as it is now, with other focal lengths where these explain what moves do.
+
+    The pose of such a camera is the given one.
+    """
+    for view in np.flatnonzero(moved).tolist():
+        camera = _zoomed(*known[view], given, view)
+        zoomed = _with_camera(now, view, camera, pose_of(given, view))
+        errors = [_median_error(*known[view], each, view) for each in (zoomed, now)]
+        if errors[0] <= config.uncertainty.same_misfit * errors[1]:
+            now = zoomed
+    return now
+
+
+def _compare(
+    given: CameraRig,
+    now: CameraRig,
+    known: list[_Known],
+    change: RigChange,
+    verdict: Verdict,
+) -> dict[str, VerifiedCamera]:
+    """Return how each camera of the given rig differs from it, by its name.
+
+    known: as of `_known_points`.
+    """
+    in_place: PlaceWord = "in place" if verdict.word != VERDICTS[-1] else "not checked"
+    size, found = rig_size(given), {}
+    for view, name in enumerate(given.names):
+        focal = float(np.log(now.cameras[view].focal / given.cameras[view].focal))
         (turn, shift), (turn_sigma, shift_sigma) = (change.size[view], change.sigma[view])
-        camera_found = VerifiedCamera(
+        found[name] = VerifiedCamera(
             name=name,
-            word=word,
+            word="focal" if focal else "moved" if change.moved[view] else in_place,
             turn=float(turn),
             turn_sigma=float(turn_sigma),
             shift=float(shift * size),
             shift_sigma=float(shift_sigma * size),
             relative_shift=float(shift),
             focal_change=focal,
-            error_px=_median_error(*known, given, view),
-            refitted_px=error,
+            error_px=_median_error(*known[view], given, view),
+            refitted_px=_median_error(*known[view], now, view),
         )
-        cameras.append(camera_found)
-    return cameras, now
+    return found
 
 
 def _median_error(points: Floats, pixels: Floats, rig: CameraRig, view: int) -> float:
@@ -286,14 +312,10 @@ def _zoomed(points: Floats, pixels: Floats, rig: CameraRig, view: int) -> Camera
     half, of which the errors matter least.
     """
     camera, in_camera = rig.cameras[view], points @ rig.rotation[view].T + rig.translation[view]
-    middle = camera.matrix[:2, 2]
-    expected, found = pixels_from_points(camera, in_camera) - middle, pixels - middle
-    square = np.nan_to_num((expected**2).sum(1))
-    if not square.any():
-        return camera
-    outer = square >= np.median(square[square > 0])
-    factor = np.median(np.abs((expected * found).sum(1)[outer] / square[outer]))
-    return change_intrinsics(camera, log_focal=float(np.log(factor)), k1=0.0)
+    seen = pixels_from_points(camera, in_camera)
+    expected, found = np.linalg.norm(np.stack([seen, pixels]) - camera.matrix[:2, 2], axis=2)
+    factor = (found / expected)[expected >= np.nanmedian(expected)]
+    return change_intrinsics(camera, log_focal=float(np.log(np.median(factor))), k1=0.0)
 
 
 def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: Floats) -> CameraRig:
@@ -307,50 +329,41 @@ def _with_camera(rig: CameraRig, view: int, camera: Camera, pose: Floats) -> Cam
 # --- verdict and words
 
 
-def assess_calibration(
-    cameras: Sequence[VerifiedCamera], change: RigChange, covariance: RigCovariance, names: Names
-) -> Verdict:
-    """Return the verdict on a calibration with the moved cameras where they are now.
+def assess_calibration(group: GroupResult, given: CameraRig, lost: Sequence[str]) -> Verdict:
+    """Return the verdict on a calibration: each camera is as far off as two rigs together.
 
-    Each camera is as uncertain as the keypoints leave it, and as far off as they have it elsewhere.
-    names: of the views of the change and of the covariance.
+    As the keypoints' own rig may be, and as it differs from that.
+
+    group: the keypoints' own rig. given: the calibration. lost: names of further cameras of it,
+        which agree with no others at any pose.
     """
-    uncertain = np.rad2deg(covariance.rotation_sigma)
-    refitted = change.moved & (len(names) > 2)  # of two it is not known where they are now
-    apart = np.where(refitted, 0.0, np.rad2deg(change.difference))
-    # keypoints that determine nothing give no better calibration
-    remedy = _CALIBRATE if uncertain.max() <= VERDICT_LIMITS_DEG[1] else _RECORD
-    causes = []
-    for view, name in enumerate(names):
-        meaning = f"{name}: the keypoints determine its rotation to +-{uncertain[view]:.1f} deg"
-        causes.append(Cause("covariance", name, float(uncertain[view]), meaning, _RECORD))
-        meaning = f"{name}: {apart[view]:.1f} deg from where the keypoints have it"
-        causes.append(Cause("difference", name, float(apart[view]), meaning, remedy))
-    for camera in cameras:
-        if camera.word == "inconsistent":
-            meaning = f"{camera.name}: nothing that it sees agrees with the others, at any pose"
-            causes.append(Cause(camera.word, "", OPEN_DEG, meaning, "check its files and clock"))
+    own = lay_over(group.rig, given, np.arange(len(given)))
+    apart = np.rad2deg(angle_between(given.rotation, own.rotation)).tolist()
+    causes = list(group.assessment.causes)
+    for name, turn in zip(given.names, apart, strict=True):
+        meaning = f"{name}: {turn:.1f} deg from where the keypoints have it"
+        causes.append(Cause("difference", name, turn, meaning, _CALIBRATE))
+    for name in lost:
+        meaning = f"{name}: nothing that it sees agrees with the others, at any pose"
+        causes.append(Cause("inconsistent", "", OPEN_DEG, meaning, "check its files and clock"))
     causes.sort(key=lambda cause: -cause.error_deg)
-    return Verdict(expected_error(names, causes), tuple(causes))
+    expected = expected_error(given.names, causes)
+    return replace(group.assessment, error_deg=expected, causes=tuple(causes))
 
 
 def explain_cameras(cameras: Sequence[VerifiedCamera]) -> list[Cause]:
-    """Return a reason for each camera that moved or was not checked."""
-    if len(cameras) == 2 and all(camera.word == "moved" for camera in cameras):
-        first, second = cameras
-        meaning = (
-            f"{first.name} or {second.name} moved, by {_deg(first)} deg against the other: two "
-            "cameras do not show which"
-        )
-        return [Cause("moved", "", float(np.rad2deg(first.turn)), meaning, _CALIBRATE)]
+    """Return a reason for each camera that moved, or about which nothing is known."""
+    if len(cameras) == 2 and cameras[0].word == "moved":
+        either, turn = " or ".join(camera.name for camera in cameras), cameras[0].turn
+        meaning = f"{either} moved, by {_deg(cameras[0])} deg against the other: two cameras do not"
+        return [Cause("moved", "", float(np.rad2deg(turn)), f"{meaning} show which", _CALIBRATE)]
     reasons = []
     for camera in cameras:
-        change = float(np.expm1(camera.focal_change))
+        change, turn = float(np.expm1(camera.focal_change)), float(np.rad2deg(camera.turn))
         text = f"{abs(change):.1%} {'longer' if change > 0 else 'shorter'}"
-        if camera.word in _REASONS:
+        if camera.word in _REASONS and not (camera.word == "not checked" and np.isfinite(turn)):
             meaning, remedy = _REASONS[camera.word]
             meaning = meaning.format(camera=camera.name, move=describe_move(camera), change=text)
-            turn = float(np.rad2deg(camera.turn))
             reasons.append(Cause(camera.word, camera.name, turn, meaning, remedy))
     return reasons
 
@@ -370,11 +383,11 @@ def describe_move(camera: VerifiedCamera) -> str:
 
 
 def _provenance(
-    cameras: Sequence[VerifiedCamera], verdict: Verdict, names: Names, covariance: RigCovariance
+    cameras: Sequence[VerifiedCamera], verdict: Verdict, group: GroupResult
 ) -> dict[str, Any]:
     """Return what the file of a corrected rig holds of its verdict.
 
-    names: of the views of the covariance.
+    group: the keypoints' own rig.
     """
     refits = [
         f"{camera.name}: refitted by keypoints; as given before it {describe_move(camera)}"
@@ -382,6 +395,7 @@ def _provenance(
         if camera.word in ("moved", "focal")
     ]
     errors = [camera.refitted_px for camera in cameras if camera.refitted_px < np.inf]
+    covariance, names = group.uncertainty.covariance, group.rig.names
     sigmas = (np.rad2deg(covariance.rotation_sigma), 100 * covariance.centre_sigma)
     turns, shifts = (dict(zip(names, map(round_sigma, each), strict=True)) for each in sigmas)
     return judgement(

@@ -1,6 +1,7 @@
 """mocap-calib verify through real processes."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -27,8 +28,11 @@ def bumped(small, tmp_path_factory):
 def test_a_sound_calibration_passes(tool, small):
     done = tool("verify", small / "reference.toml", small / "keypoints")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[0].split()[0] == "camera"
-    assert "calibration: well determined; no camera is named" in done.stdout
+    header = re.split("  +", done.stdout.splitlines()[0].strip())
+    assert header[:6] == ["camera", "turn deg", "+- deg", "shift %", "shift m", "+- m"]
+    assert header[6:] == ["error px", "refitted px", "place"]
+    said = r"calibration: well determined, expected error 0\.\d\d deg; no camera is named"
+    assert re.search(said, done.stdout)
 
 
 def test_a_bumped_camera_is_named_and_put_where_it_is(tool, small, bumped, tmp_path):
@@ -59,6 +63,9 @@ def test_figures_are_json(tool, small, bumped):
     names = mc.read_rig(bumped).names
     assert [camera["name"] for camera in figures["cameras"]] == [*names[:2]]
     assert figures["without_keypoints"] == [names[2]]
+    assert [camera["shift"] for camera in figures["cameras"]] == [None, None]
+    score = figures["checks"][1]
+    assert (score["name"], score["value"], score["passed"]) == ("pair score", None, False)
     done = tool("verify", bumped, small / "keypoints", "--json", "--quiet")
     figures = json.loads(done.stdout)
     assert (figures["named"], figures["passes"]) == ([names[1]], False)

@@ -9,6 +9,8 @@ import pytest
 from scenes import moved, rotation_errors_deg, scene, turn_camera
 
 import mocap_calib as mc
+from mocap_calib.config import Config, SyncConfig
+from mocap_calib.verdict.verdict import expected_error
 
 # --- against a reference
 
@@ -103,6 +105,20 @@ def test_the_truth_passes_in_any_world_and_unit():
         assert found.rig == given  # nothing is changed, not a bit
 
 
+def test_a_calibration_may_be_off_as_a_rig_of_its_keypoints_and_as_it_differs_from_that():
+    """A quarter of a degree is no move; measured: 0.03 deg without it, 0.23 with it."""
+    true = scene().rig
+    found = verify(turn_camera(true, 2, 0.25))
+    assert not found.named
+    causes = found.assessment.causes
+    assert {cause.name for cause in causes} >= {"covariance", "principal point", "errors"}
+    differences = {each.camera: each.error_deg for each in causes if each.name == "difference"}
+    assert max(differences, key=lambda name: differences[name]) == true.names[2]
+    assert 0.15 < differences[true.names[2]] < 0.3
+    assert found.assessment.error_deg == pytest.approx(expected_error(true.names, causes))
+    assert found.assessment.error_deg > verify(true).assessment.error_deg
+
+
 @pytest.mark.parametrize("degrees", [1.0, 5.0, 30.0])
 def test_a_turned_camera_and_no_other_is_named_and_refitted(degrees):
     """Of 30 degrees it matches nobody any more. Measured: the turn to within 0.03 deg."""
@@ -192,6 +208,9 @@ def test_a_late_clock_is_corrected_before_cameras_are_named():
     clock = found.clocks.cameras[1]
     assert clock.kind == "clock"
     assert abs(clock.offset - 4) <= 1
+    as_given = mc.verify(given, made.rig, config=Config(sync=SyncConfig(mode="check")))
+    causes = [each.camera for each in as_given.assessment.causes if each.name == "clock"]
+    assert causes == [late]
 
 
 def test_other_cameras_are_refused():

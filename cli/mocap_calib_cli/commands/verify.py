@@ -31,6 +31,7 @@ _FIGURES = ("shift", "shift_sigma", "relative_shift", "error_px", "refitted_px")
     "keypoints",
     *options.READING,
     *options.MODEL,
+    "centre_uncertainty",
     "sync",
     "sync_window",
     "seed",
@@ -44,10 +45,10 @@ def command(typed: Typed) -> int:
     CAMERAS: anyone's, by a board, a wand or keypoints, in any camera format with extrinsics and in
     any unit. Identities need not be known. KEYPOINTS: see `run`.
 
-    Each camera is compared with where the others and the keypoints have it. It is named where it
-    stands elsewhere by more than errors explain, has another focal length, or sees nothing that
-    goes with the others. The verdict is that of `run`, on CAMERAS with the named cameras where
-    they are now. Of two cameras nobody can say which one moved.
+    Each camera is compared with where the others and the keypoints have it. It is named where its
+    pose differs by more than errors explain, where it has another focal length, or where its
+    detections fit no pose. The verdict is that of `run`, on CAMERAS with the named cameras where
+    they are now. Of two cameras both are named. `-`: not known.
 
     The exit status is 0 where no camera is named and the keypoints determine that, else 1.
 
@@ -63,7 +64,7 @@ def command(typed: Typed) -> int:
     to: Format of FILE, where its ending does not say it (docs/formats.md).
     as_json: Figures as JSON instead of a table.
     """
-    from mocap_calib.config import Config
+    from mocap_calib.config import Config, UncertaintyConfig
     from mocap_calib.io.kinds import choose_format
     from mocap_calib.verdict.verify import verify
     from mocap_calib_cli import ending, inputs, screen
@@ -77,7 +78,10 @@ def command(typed: Typed) -> int:
         found = verify(
             loaded.recording,
             rig,
-            config=Config(sync=inputs.sync_config(typed)),
+            config=Config(
+                sync=inputs.sync_config(typed),
+                uncertainty=UncertaintyConfig(centre_uncertainty=typed.centre_uncertainty),
+            ),
             seed=typed.seed,
             device=typed.device,
             progress=reporter,
@@ -97,6 +101,8 @@ def _figures(found: "Verification") -> dict[str, Any]:
     """Return the figures under the keys of `--json`, None where one of a camera is not known."""
     import numpy as np
 
+    from mocap_calib.report import describe_assessment
+
     cameras = []
     for camera in found.cameras:
         angles = {f"{name}_deg": np.rad2deg(getattr(camera, name)) for name in _ANGLES}
@@ -106,6 +112,7 @@ def _figures(found: "Verification") -> dict[str, Any]:
         cameras.append({"name": camera.name, "place": camera.word} | known)
     return {
         "verdict": found.verdict,
+        **describe_assessment(found.assessment),
         "passes": found.passes,
         "named": list(found.named),
         "reasons": _reasons(found),
@@ -125,7 +132,7 @@ def _describe(found: "Verification", absent: list[str]) -> "list[Table | Line]":
     """Return the cameras as a table, the verdict, and what to do."""
     from mocap_calib.faults.hypotheses import clock_faults
     from mocap_calib_cli.ending import STYLES, explain
-    from mocap_calib_cli.screen import Line
+    from mocap_calib_cli.screen import Line, format_number
 
     notes = [f"not checked, no keypoints: {', '.join(absent)}"] if absent else []
     notes += [
@@ -133,7 +140,8 @@ def _describe(found: "Verification", absent: list[str]) -> "list[Table | Line]":
         for fault in clock_faults(found.clocks, applied=found.clocks.changed)
     ]
     named = f"; named: {', '.join(found.named)}" if found.named else "; no camera is named"
-    verdict = Line(f"calibration: {found.verdict}{named}", STYLES[found.verdict])
+    expected = f"{found.verdict}, expected error {format_number(found.assessment.error_deg)} deg"
+    verdict = Line(f"calibration: {expected}{named}", STYLES[found.verdict])
     return [_camera_table(found), *map(Line, notes), verdict, *explain(_reasons(found))]
 
 
@@ -151,7 +159,7 @@ def _camera_table(found: "Verification") -> "Table":
         errors = map(format_number, (camera["error_px"], camera["refitted_px"]))
         cells = (*map(format_number, angles), *lengths, *errors)
         rows.append((camera["name"], *cells, camera["place"]))
-    header = ("camera", "turn deg", "+-", "shift %", f"shift{unit}", "+-", "error px")
+    header = ("camera", "turn deg", "+- deg", "shift %", f"shift{unit}", f"+-{unit}", "error px")
     return Table((*header, "refitted px", "place"), rows, "place")
 
 
