@@ -12,7 +12,7 @@ from functools import cached_property
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -20,6 +20,8 @@ from safetensors.numpy import load_file
 
 from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.errors import FormatError, MismatchError, argument, suggest
+from mocap_calib.io.document import typed
+from mocap_calib.io.hdf5 import damage_refused
 from mocap_calib.kernels.lifter import activate
 from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names, parse_skeleton
 from mocap_calib.types import Bools, Floats32, Recording, Skeleton
@@ -35,6 +37,9 @@ GEOMETRY_ALONE = "none"  # asks for no model: it knows no joint, and the geometr
 DESCRIPTION = "mocap_calib"  # key of the description in the metadata of a file of weights
 
 
+_TRAIN_AGAIN = "the file is damaged: copy it again, or write it by `mocap-calib train`"
+
+
 @dataclass(frozen=True)
 class ModelConfig:
     """Size of the network; saved inside the checkpoint."""
@@ -43,6 +48,9 @@ class ModelConfig:
     width: int = 64
     layers: int = 4
     heads: int = ENCODER_HEADS
+
+
+Size = TypeVar("Size")
 
 
 class _Linear(NamedTuple):
@@ -86,9 +94,11 @@ class Lifter:
         """
         known = np.where(seen[..., None], pose, np.float32(0))
         out = np.empty((*seen.shape, 5), dtype=np.float32)
-        for start in range(0, len(pose), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            out[block] = self._apply(known[block], seen[block])
+        # large weights, as of a damaged file, give what is not finite, which no pair fits
+        with np.errstate(all="ignore"):
+            for start in range(0, len(pose), _BLOCK):
+                block = slice(start, start + _BLOCK)
+                out[block] = self._apply(known[block], seen[block])
         joints = np.concatenate([known + out[..., :2], out[..., 2:3]], axis=-1)
         return joints, np.clip(out[..., 3:], *LOG_DEVIATIONS)
 
@@ -199,7 +209,7 @@ def describe_model(name_or_path: str | Path) -> dict[str, Any]:
     with resources.as_file(weights_of(str(name_or_path))) as path:
         try:
             with safe_open(path, framework="np") as file:
-                return json.loads((file.metadata() or {})[DESCRIPTION])
+                return dict(json.loads((file.metadata() or {})[DESCRIPTION]))
         except FileNotFoundError:
             raise FormatError(
                 path,
@@ -207,7 +217,7 @@ def describe_model(name_or_path: str | Path) -> dict[str, Any]:
                 "neither",
                 suggest(str(path), SHIPPED),
             ) from None
-        except (SafetensorError, KeyError, ValueError) as error:
+        except (SafetensorError, KeyError, ValueError, TypeError, RecursionError) as error:
             reason = str(error).splitlines()[0]
             raise FormatError(
                 path, "weights that `train` wrote", f"another file ({reason})", "check the path"
@@ -224,7 +234,7 @@ def load_vocabulary(name: str) -> Skeleton:
     """Return the joints that a model knows: none for geometry alone. Raises FormatError."""
     if name == GEOMETRY_ALONE:
         return Skeleton(GEOMETRY_ALONE, keypoints=(), edges=(), symmetries=(), aliases={})
-    return parse_skeleton(describe_model(name)["skeleton"], name)
+    return parse_skeleton(describe_model(name).get("skeleton"), name)
 
 
 def is_token(name_or_path: str) -> bool:
@@ -262,10 +272,65 @@ def load_lifter(name_or_path: str | Path = "people") -> tuple[Lifter, Skeleton]:
             "the paper's, whose rotation token cannot",
             f"`run` and `pairwise` take them with {argument('solver', 'paper')}",
         )
-    with resources.as_file(weights_of(str(name_or_path))) as path:
+    size, skeleton, weights = load_network(name_or_path, ModelConfig, description)
+    check_weights(_shapes(size), weights, str(name_or_path))
+    return Lifter(size, weights), skeleton
+
+
+def load_network(
+    name_or_path: str | Path, kind: type[Size], description: Mapping[str, Any]
+) -> tuple[Size, Skeleton, dict[str, Floats32]]:
+    """Return the size of a network, its vocabulary and its weights.
+
+    kind: of the size: `ModelConfig`, or another with the same fields. description: of the file.
+
+    Raises FormatError where the size is not that of the weights.
+    """
+    source = str(name_or_path)
+    with resources.as_file(weights_of(source)) as path, damage_refused(source, "weights"):
         weights = load_file(path)
-    lifter = Lifter(ModelConfig(**description["model"]), weights)
-    return lifter, parse_skeleton(description["skeleton"], str(name_or_path))
+    skeleton = parse_skeleton(description.get("skeleton"), source)
+    size: Any = typed(description.get("model"), kind, source)
+    expected = (len(skeleton.keypoints), weights.get("missing", np.empty(0)).size)
+    is_possible = 0 < size.layers <= len(weights) and 0 < size.heads <= size.width
+    if (size.joints, size.width) != expected or not is_possible or size.width % size.heads:
+        said = "a network as large as its skeleton and its weights"
+        raise FormatError(source, said, size, _TRAIN_AGAIN)
+    return size, skeleton, weights
+
+
+def check_weights(
+    expected: Mapping[str, tuple[int, ...]], weights: Mapping[str, Floats32], source: str
+) -> None:
+    """Raise FormatError where tensors have other names or shapes, or are no finite 32-bit floats.
+
+    expected: shapes by the names of tensors. Another shape might broadcast, to another network.
+    """
+    found = {name: weight.shape for name, weight in weights.items()}
+    for name in sorted({*expected, *found}):
+        shapes = [f"shape {list(of[name])}" if name in of else "none" for of in (expected, found)]
+        if shapes[0] != shapes[1]:
+            raise FormatError(source, f"weights `{name}`: {shapes[0]}", shapes[1], _TRAIN_AGAIN)
+        if weights[name].dtype != np.float32 or not np.isfinite(weights[name]).all():
+            said = f"finite 32-bit floats as weights `{name}`"
+            raise FormatError(source, said, "others", _TRAIN_AGAIN)
+
+
+def _shapes(size: ModelConfig) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each tensor of a lifter, by the names that torch gives them."""
+    width, norms = size.width, ["encoder.norm."]
+    linear = {"position.": (width, 2), "head.": (5, width)}
+    for number in range(size.layers):
+        layer = f"encoder.layers.{number}."
+        norms += [f"{layer}norm1.", f"{layer}norm2."]
+        linear[f"{layer}self_attn.in_proj_"] = (3 * width, width)
+        linear[f"{layer}self_attn.out_proj."] = (width, width)
+        linear[f"{layer}linear1."] = (2 * width, width)
+        linear[f"{layer}linear2."] = (width, 2 * width)
+    shapes: dict[str, tuple[int, ...]] = {"joint": (size.joints, width), "missing": (width,)}
+    shapes |= {f"{name}{part}": (width,) for name in norms for part in ("weight", "bias")}
+    shapes |= {f"{name}weight": shape for name, shape in linear.items()}
+    return shapes | {f"{name}bias": shape[:1] for name, shape in linear.items()}
 
 
 def load_model(name: str = "people", *, pair_solver: str = "search") -> Lifter:

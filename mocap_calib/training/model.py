@@ -11,11 +11,10 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 
 import torch
-from safetensors.torch import load_file, save
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from mocap_calib.config import ENCODER_HEADS
@@ -25,10 +24,11 @@ from mocap_calib.lift.lifter import (
     LOG_DEVIATIONS,
     Lifter,
     ModelConfig,
+    check_weights,
     describe_model,
-    weights_of,
+    load_lifter,
+    load_network,
 )
-from mocap_calib.recording.joints import parse_skeleton
 from mocap_calib.types import Bools, Floats32, Skeleton
 
 
@@ -282,12 +282,15 @@ def load_steerer(name_or_path: str | Path = "people") -> tuple[Model, Skeleton]:
     `lift.lifter` reads those that lift. Raises FormatError.
     """
     description = describe_model(name_or_path)
-    with resources.as_file(weights_of(str(name_or_path))) as path:
-        tensors = load_file(path)
-    model: Model
-    if description.get("architecture") == "token":
-        model = TokenSteerer(TokenConfig(**description["model"]))
-    else:
-        model = LifterModule(ModelConfig(**description["model"]))
-    model.load_state_dict(tensors)
-    return model.eval(), parse_skeleton(description["skeleton"], str(name_or_path))
+    if description.get("architecture") != "token":
+        lifter, skeleton = load_lifter(name_or_path)
+        return module_of(lifter), skeleton
+    size, skeleton, weights = load_network(name_or_path, TokenConfig, description)
+    with torch.device("meta"):  # without memory
+        model = TokenSteerer(size)
+    shapes = {name: tuple(value.shape) for name, value in model.state_dict().items()}
+    check_weights(shapes, weights, str(name_or_path))
+    model.load_state_dict(
+        {name: torch.from_numpy(weight) for name, weight in weights.items()}, assign=True
+    )
+    return model.eval(), skeleton

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from safetensors.numpy import load_file, save_file
 from scenes import PEOPLE, calibrated, lifted, recording, scene
 from scipy.special import erfc
 
@@ -23,7 +24,15 @@ from mocap_calib.io.pose_files import write_poses
 from mocap_calib.io.poses import PoseFile
 from mocap_calib.kernels.lifter import activate
 from mocap_calib.lift import complete_sample, lift, rays_by_joint
-from mocap_calib.lift.lifter import ModelConfig, choose_model, load_lifter, models
+from mocap_calib.lift.lifter import (
+    DESCRIPTION,
+    ModelConfig,
+    choose_model,
+    describe_model,
+    load_lifter,
+    models,
+    shipped_weights,
+)
 from mocap_calib.recording.joints import (
     SHIPPED,
     choose_skeleton,
@@ -403,6 +412,56 @@ def test_other_joints_and_files_that_could_run_anything_are_refused(tmp_path):
     for name in ("w.safetensors", "missing.safetensors"):
         with pytest.raises(FormatError):
             load_lifter(tmp_path / name)
+
+
+NORM, LAYER = "encoder.norm.bias", "encoder.layers.3.linear1.weight"
+
+
+def one_row(weights, _):
+    weights[LAYER] = weights[LAYER][:1]
+
+
+def not_finite(weights, _):
+    weights[NORM][3] = np.nan
+
+
+def set_size(**sizes):
+    return lambda _, size: size.update(sizes)
+
+
+DAMAGES = {
+    "one row": (one_row, rf"`{LAYER}`: shape \[.*\], found shape \[1, .*; the file is damaged"),
+    "gone": (lambda weights, _: weights.pop(NORM), rf"`{NORM}`: shape .*, found none"),
+    "further": (lambda weights, _: weights.update(x=np.ones(2, np.float32)), "`x`: none, found"),
+    "doubles": (lambda weights, _: weights.update({NORM: np.ones(64)}), "32-bit|shape"),
+    "not finite": (not_finite, f"finite 32-bit floats as weights `{NORM}`"),
+    "no heads": (set_size(heads=0), "as large as its skeleton and its weights"),
+    "giant": (set_size(joints=10**9, width=10**9, layers=10**9), "as large as"),
+    "layers": (set_size(layers=10**9), "as large as"),
+    "text": (set_size(width="64"), "a whole number"),
+}
+
+
+@pytest.mark.parametrize("model", ["people", "people_token"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_weights_are_refused_in_a_line_before_memory_is_taken(damage, model, tmp_path):
+    """A tensor of one row was broadcast, and sizes of 1e9 asked for 70 TB."""
+    path, description = tmp_path / "w.safetensors", describe_model(model)
+    weights = load_file(str(shipped_weights(model)))
+    change, said = DAMAGES[damage]
+    change(weights, description["model"])
+    save_file(weights, path, metadata={DESCRIPTION: json.dumps(description)})
+    with pytest.raises(FormatError, match=said):
+        load_steerer(path)
+
+
+@pytest.mark.filterwarnings("error")
+def test_weights_too_large_for_their_floats_warn_of_nothing():
+    lifter, _ = load_lifter()
+    large = {name: np.float32(1e25) * weight for name, weight in lifter.weights.items()}
+    seen = np.ones((3, 29), dtype=bool)
+    joints, _ = replace(lifter, weights=large)(np.ones((3, 29, 2), np.float32), seen)
+    assert not np.isfinite(joints).all()
 
 
 ONE = (Path("a.npz"),)
