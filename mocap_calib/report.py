@@ -59,7 +59,7 @@ def run_report(
         "epochs": describe_epochs(group.rig.names, frames),
         "cameras": _describe_cameras(group, error, result),
         "pairs": _describe_pairs(group, error),
-        "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
+        "adjust": {"rounds": group.adjusted.rounds, "turn_deg": group.adjusted.turn_deg},
         "individuals": _describe_individuals(group),
         "poses": _describe_poses(group),
         "points": {

@@ -260,15 +260,15 @@ class Adjusted(Record):
     matches: labels in the frames that were adjusted.
     depth_reversed_rig: a depth-reversed rig that fits equally well, so that the detections do not
         decide between the two; None = none.
-    rounds: number of rounds of adjustment and association.
-    converged: no camera turned in the last round.
+    rounds: number of rounds of adjustment and association. turn_deg: by how many degrees a camera
+        turned in the last one, at most.
     """
 
     rig: CameraRig
     matches: Matches
     depth_reversed_rig: CameraRig | None
     rounds: int
-    converged: bool
+    turn_deg: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -106,8 +106,8 @@ def adjust_until_stable(
         before = rig
         rig = adjust_once(sample, before, matches, config, already_close=done > 1)
         progress("adjust", done, rounds)
-        converged = done > 1 and _largest_turn_deg(before, rig) < config.adjust.still_deg
-        if converged:
+        turn = _largest_turn_deg(before, rig)
+        if done > 1 and turn < config.adjust.still_deg:
             break
         matches = associate(sample, lifted, rig, config, progress=silent)
     return Adjusted(
@@ -115,7 +115,7 @@ def adjust_until_stable(
         matches=matches,
         depth_reversed_rig=None,
         rounds=done,
-        converged=converged,
+        turn_deg=turn,
     )
 
 

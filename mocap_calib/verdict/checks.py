@@ -88,8 +88,8 @@ class Look:
 
 
 def convergence(look: Look) -> float:
-    """Return the error of a rig whose adjusting and matching did not converge."""
-    return 0.0 if look.group.adjusted.converged else OPEN_DEG
+    """Return by how much a camera turned in the last round of adjusting and matching."""
+    return look.group.adjusted.turn_deg
 
 
 # Of each camera
@@ -187,8 +187,8 @@ def check_rig(group: GroupResult, config: Config) -> tuple[Cause, ...]:
 CHECKS = (
     CheckKind(
         "convergence",
-        f"{OPEN_DEG:.0f} where adjusting and matching did not converge",
-        "adjusting and matching did not converge",
+        "turn of a camera in the last round of adjusting and matching",
+        "a camera turned by {value:.1f} deg in the last round of adjusting and matching",
         "look for a camera with large errors, and record longer",
         convergence,
     ),

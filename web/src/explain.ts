@@ -104,6 +104,7 @@ const EXPLANATIONS: Record<string, Explanation> = {
   "world.scale_sigma_percent": e("Uncertainty of the scale", "Standard deviation of all lengths together; not known where they are arbitrary.", "%"),
   "world.cues.*.*": e("Known length", "A length that was stated, and what it is by all cues together."),
   "adjust.rounds": e("Rounds", "Rounds of adjusting and matching."),
+  "adjust.turn_deg": e("Last turn", "By how much a camera turned in the last round, at most.", "°"),
   "epochs.*.*": e("Part of the recording", "Frames in which no camera was moved."),
   seed: e("Seed", "Of the random numbers. The same seed gives the same results."),
   schema: e("Schema", "Version of run.json."),
