@@ -10,6 +10,7 @@ intrinsics. Then everything is done with them from the beginning, as if they had
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from mocap_calib.adjust.intrinsics import estimate_cameras
@@ -25,7 +26,7 @@ from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, Refinement
 from mocap_calib.errors import DegenerateError
-from mocap_calib.faults.mend import add_clocks, mend_faults
+from mocap_calib.faults.mend import add_clocks, confirm_clocks, mend_faults
 from mocap_calib.lift import RememberedLift
 from mocap_calib.lift.lifter import AUTO, Lifter, choose_model
 from mocap_calib.pairs.solve import PairSolver
@@ -91,6 +92,9 @@ def calibrate(
             found = estimate_clocks(recording, lift_sample, observed.rotations, config, seed=seed)
         calibrated, clocks = calibrate_on_clocks(
             recording, found, calibrator, config.sync, observed=observed
+        )
+        calibrated, clocks = confirm_clocks(
+            recording, calibrated, clocks, partial(calibrator, observed=observed)
         )
         last = Clock()
         with last("faults"):

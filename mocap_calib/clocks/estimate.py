@@ -33,7 +33,7 @@ from mocap_calib.clocks.maps import (
 )
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import DECISIVE_NATS, Config, SyncConfig
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.recording.corrections import find_view
 from mocap_calib.recording.sampling import choose_stretches, take_sample, usual_step
@@ -103,7 +103,13 @@ def calibrate_on_clocks(
     """
     apply = Clocks.of_one if config.mode == "check" else clocks_from
     clocks = apply(recording, cameras)
-    calibrated = calibrate(retime(recording, clocks), None if clocks.changed else observed)
+    try:
+        calibrated = calibrate(retime(recording, clocks), None if clocks.changed else observed)
+    except DegenerateError:  # bodies that agree by chance make no rig
+        if not clocks.changed:
+            raise
+        clocks = Clocks.of_one(recording)
+        calibrated = calibrate(recording, observed)
     # a rig of clocks that differ and are not applied refines none
     refines = config.mode == "auto" or not any(camera.differs for camera in cameras)
     for _ in range(_ROUNDS if refines and config.mode != "off" else 0):

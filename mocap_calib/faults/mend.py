@@ -1,12 +1,12 @@
 """Find what is wrong with the input of single cameras, and correct it.
 
-Faults of several kinds may fit the same errors. Alternatives are tried in the order of their
-evidence, each on the whole recording; the share of the detections that is explained then adds to
-the evidence, and the first alternative for which that suffices is taken.
+Faults of several kinds may fit the same errors. Each alternative is tried on the whole recording;
+the share of the detections that is explained then adds to its evidence, and the likeliest for which
+that suffices is taken, unless a change of another camera explains as much.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -22,6 +22,7 @@ from mocap_calib.results import VERDICTS, CalibrationResult, Clocks, Fault, Grou
 from mocap_calib.rig import Observed
 from mocap_calib.types import CameraClock, Floats, Recording
 from mocap_calib.verdict.checks import report_frames, residuals_of
+from mocap_calib.verdict.verdict import judge
 
 # what was known before the rigs of a recording were built, and all that was found
 Calibrated = tuple[Observed, CalibrationResult]
@@ -42,12 +43,14 @@ def mend_faults(
     """Return what is found of a recording with the faults of its cameras named, and corrected.
 
     Where correcting is forbidden the corrections are tried all the same, as they show which of
-    several alternatives is right; the result stays that of the input as it is.
+    several alternatives is right; the result stays that of the input as it is. It does as well, and
+    nothing is named, where the corrected rig is not determined: faults rest on the others.
 
     recording: as it was handed in. calibrated: what was found of it. calibrate: finds the same of
         a recording that was corrected.
     """
     known: tuple[Fault, ...] = ()
+    given = calibrated[1]
     for _ in range(_ROUNDS):
         observed, result = calibrated
         names = {(fault.camera, fault.word, fault.mend) for fault in known}
@@ -55,22 +58,23 @@ def mend_faults(
             tuple(each for each in one.faults if (each.camera, each.word, each.mend) not in names)
             for one in find_alternatives(observed, result, result.config)
         ]
-        tried = (
+        tried = [
             _try_correction(recording, calibrated, known, new, calibrate)
             for new in alternatives
             if mends_of(new) and not _may_be_reflected((*known, *new), result)
-        )
-        corrected = next((each for each in tried if each), None)
+        ]
+        corrected = choose_correction([each for each in tried if each])
         if corrected is None:  # faults that have no correction are named
             named = {each.camera: each for new in alternatives for each in new if not each.mend}
             known += tuple(named.values())
             break
-        new, recalibrated = corrected
+        new, recalibrated = corrected.faults, corrected.calibrated
         if not result.config.mend.apply:
             known += tuple(replace(fault, mend=None) for fault in new)
             break
         known, calibrated = (*known, *new), recalibrated
-    return replace(calibrated[1], faults=known)
+    result = replace(calibrated[1], faults=known)
+    return given if judge(result).groups[0].verdict == VERDICTS[-1] else result
 
 
 def find_alternatives(
@@ -93,13 +97,37 @@ def find_alternatives(
     return sorted([*exchanged, *faulty, *moved], key=lambda each: -each.evidence)
 
 
+@dataclass(frozen=True)
+class Correction:
+    """New faults, the calibration with them corrected, and the evidence (nats) of both."""
+
+    faults: tuple[Fault, ...]
+    calibrated: Calibrated
+    evidence: float
+
+
+def choose_correction(tried: Sequence[Correction]) -> Correction | None:
+    """Return the first of some corrections; None where one of another camera is as evident.
+
+    Of a rig of three, one wrong focal length makes each look odd: then none is to blame.
+    """
+    if not tried:
+        return None
+    first = tried[0]
+    own = {fault.camera for fault in first.faults}
+    rivals = [
+        each.evidence for each in tried if own.isdisjoint(fault.camera for fault in each.faults)
+    ]
+    return first if first.evidence > max(rivals, default=0.0) + DECISIVE_NATS else None
+
+
 def _try_correction(
     recording: Recording,
     calibrated: Calibrated,
     known: tuple[Fault, ...],
     new: tuple[Fault, ...],
     calibrate: Calibrate,
-) -> tuple[tuple[Fault, ...], Calibrated] | None:
+) -> Correction | None:
     """Return new faults and the calibration with them corrected, None where it explains no more.
 
     Nor where the detections do not determine the corrected rig: what is said of a camera rests on
@@ -119,10 +147,36 @@ def _try_correction(
     errors = _errors_of([calibrated, corrected])
     if not _fits(new, errors[1], corrected[1]):
         return None
-    before, after = _explained_shares(recording, errors)
     nats = min(float(fault.evidence["nats"]) for fault in new)
-    confirmed = nats + _NATS_OF_ALL * (after - before) > DECISIVE_NATS
-    return (new, corrected) if confirmed else None
+    nats += _gain_of_all(recording, errors)
+    return Correction(new, corrected, nats) if nats > DECISIVE_NATS else None
+
+
+def confirm_clocks(
+    recording: Recording, retimed: Calibrated, clocks: Clocks, calibrate: Calibrate
+) -> tuple[Calibrated, Clocks]:
+    """Return what is found of a recording on the clocks of its cameras, and these clocks.
+
+    On the frame numbers as they are where these explain as many detections: bodies that are lifted
+    badly agree at any time.
+
+    recording: as it is. retimed: what was found of it on these clocks.
+    """
+    if not clocks.changed:
+        return retimed, clocks
+    try:
+        numbered = calibrate(recording)
+    except DegenerateError:
+        return retimed, clocks
+    nats = min(camera.evidence["gain"] for camera in clocks.cameras if camera.differs)
+    nats += _gain_of_all(recording, _errors_of([numbered, retimed]))
+    if nats > DECISIVE_NATS:
+        return retimed, clocks
+    cameras = (
+        CameraClock(camera.camera, evidence=camera.evidence) if camera.differs else camera
+        for camera in clocks.cameras
+    )
+    return numbered, Clocks.of_one(recording, cameras)
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:
@@ -203,19 +257,21 @@ def _fits(faults: Sequence[Fault], errors: Floats, result: CalibrationResult) ->
     return all(np.nanmedian(errors[..., view]) < of_others for view in np.flatnonzero(corrected))
 
 
-def _explained_shares(recording: Recording, errors: Sequence[Floats]) -> list[float]:
-    """Return the share (0..1) of all detected keypoints that each of some results explains.
+def _gain_of_all(recording: Recording, errors: Sequence[Floats]) -> float:
+    """Return the evidence (nats) by which the second of two results explains more detections.
 
-    A keypoint counts 1 / (1 + (e / width)^2), e being its error, and nothing where it is unmatched
-    or its camera is left out. The width is the median error of the result with the smallest: a
-    loose one makes all results look alike.
+    By the share (0..1) of all detected keypoints that each explains. A keypoint counts
+    1 / (1 + (e / width)^2), e being its error, and nothing where it is unmatched or its camera is
+    left out. The width is the median error of the result with the smaller: a loose one makes both
+    look alike.
 
     recording: as it was handed in, with what lenses cannot undo before they are corrected. errors:
         as of `_errors_of`.
     """
     width = min(float(np.nanmedian(error)) for error in errors)
     detected = max(int(recording.select(frames=report_frames(recording)).seen.sum()), 1)
-    return [float(np.nansum(1 / (1 + (error / width) ** 2))) / detected for error in errors]
+    before, after = (float(np.nansum(1 / (1 + (error / width) ** 2))) for error in errors)
+    return _NATS_OF_ALL * (after - before) / detected
 
 
 def find_exchanged_cameras(group: GroupResult) -> list[Alternative]:

@@ -11,7 +11,7 @@ from mocap_calib.adjust.camera_fit import CameraFit, pose_of
 from mocap_calib.adjust.resection import Sightings, sightings_of
 from mocap_calib.config import DECISIVE_NATS, DiagnosisConfig, MovedConfig
 from mocap_calib.faults import hypotheses, moved
-from mocap_calib.faults.mend import find_exchanged_cameras
+from mocap_calib.faults.mend import Correction, choose_correction, find_exchanged_cameras
 from mocap_calib.geometry.rotation import quarter_turn
 
 DIAGNOSIS, CONFIG = DiagnosisConfig(), MovedConfig()
@@ -32,6 +32,25 @@ def test_evidence_is_the_ratio_of_the_densities_of_the_estimate():
     assert found == pytest.approx(expected)
     vague = hypotheses.log_bayes_factor(np.array([3.0]), np.array([[100.0**2]]), *priors)
     assert vague == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "cameras", "taken"),
+    [
+        ((9.0,), "a", 0),
+        ((9.0, 9.0 - 2 * DECISIVE_NATS), "ab", 0),
+        ((9.0, 9.0 - DECISIVE_NATS / 2), "ab", None),  # another camera explains as much, about
+        ((9.0, 30.0), "ab", None),
+        ((9.0, 30.0), "aa", 0),  # two faults of one camera, the likelier first
+        ((), "", None),
+    ],
+)
+def test_no_camera_is_to_blame_where_a_change_of_another_explains_as_much(evidence, cameras, taken):
+    tried = [
+        Correction((mc.Fault(camera, "focal", "", {"nats": nats}),), calibrated(), nats)
+        for nats, camera in zip(evidence, cameras, strict=True)
+    ]
+    assert choose_correction(tried) is (None if taken is None else tried[taken])
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from scenes import angles_deg, calibrate_all, rotation_errors_deg, scene, turn_m
 
 import mocap_calib as mc
 from mocap_calib.config import Config, MendConfig
+from mocap_calib.types import CameraClock
 
 pytestmark = pytest.mark.slow
 ODD = 1
@@ -102,6 +103,25 @@ def test_a_camera_that_turns_has_lost_no_frames():
     kept = [group.rig.names.index(given.names[view]) for view in sound]
     assert rotation_errors_deg(group.rig.select(kept), true.select(sound)).max() < 1.0
     assert group.verdict != "well determined"
+
+
+@pytest.mark.parametrize("late", [0, 40])
+def test_a_clock_is_applied_where_the_rig_then_explains_more(late, monkeypatch):
+    """Of a camera that is in step, or 40 frames late, lifted bodies are taken to say: 40 frames."""
+    given, true = plain(frames=FRAMES)
+    source = np.tile(np.arange(FRAMES), (4, 1))
+    source[ODD] = np.where(source[ODD] >= late, source[ODD] - late, -1)
+    shown = given.show(source, given.frames)
+    said = tuple(
+        CameraClock(name, "clock", 40, table=((0, 40),), evidence={"gain": 5.0})
+        if view == ODD
+        else CameraClock(name, "in step")
+        for view, name in enumerate(given.names)
+    )
+    monkeypatch.setattr("mocap_calib.pipeline.estimate_clocks", lambda *_, **__: said)
+    result = calibrate_all(shown)
+    assert result.clocks.changed == (late == 40)
+    assert rotation_errors_deg(result.groups[0].rig, true).max() < 1.0
 
 
 def test_of_two_cameras_none_is_named():
