@@ -2,7 +2,7 @@
 
 Faults of several kinds may fit the same errors. Each alternative is tried on the whole recording;
 the share of the detections that is explained then adds to its evidence, and the likeliest for which
-that suffices is taken, unless a change of another camera explains as much.
+that suffices is taken, unless a change of another camera explains the same as well.
 """
 
 from collections.abc import Callable, Sequence
@@ -50,7 +50,8 @@ def mend_faults(
         a recording that was corrected.
     """
     known: tuple[Fault, ...] = ()
-    given = calibrated[1]
+    rivals: set[str] = set()
+    given, before = calibrated[1], (known, calibrated)
     for _ in range(_ROUNDS):
         observed, result = calibrated
         names = {(fault.camera, fault.word, fault.mend) for fault in known}
@@ -58,17 +59,21 @@ def mend_faults(
             tuple(each for each in one.faults if (each.camera, each.word, each.mend) not in names)
             for one in find_alternatives(observed, result, result.config)
         ]
+        if not rivals <= {fault.camera for new in alternatives for fault in new}:
+            known, calibrated = before  # one correction is enough, and any of them is
+            break
         tried = [
-            _try_correction(recording, calibrated, known, new, calibrate)
+            corrected
             for new in alternatives
             if mends_of(new) and not _may_be_reflected((*known, *new), result)
+            if (corrected := _try_correction(recording, calibrated, known, new, calibrate))
         ]
-        corrected = choose_correction([each for each in tried if each])
-        if corrected is None:  # faults that have no correction are named
+        if not tried:  # faults that have no correction are named
             named = {each.camera: each for new in alternatives for each in new if not each.mend}
             known += tuple(named.values())
             break
-        new, recalibrated = corrected.faults, corrected.calibrated
+        new, recalibrated = tried[0].faults, tried[0].calibrated
+        before, rivals = (known, calibrated), find_rivals(tried)
         if not result.config.mend.apply:
             known += tuple(replace(fault, mend=None) for fault in new)
             break
@@ -106,19 +111,19 @@ class Correction:
     evidence: float
 
 
-def choose_correction(tried: Sequence[Correction]) -> Correction | None:
-    """Return the first of some corrections; None where one of another camera is as evident.
+def find_rivals(tried: Sequence[Correction]) -> set[str]:
+    """Return the cameras whose corrections are as evident as the first one, which is another's.
 
-    Of a rig of three, one wrong focal length makes each look odd: then none is to blame.
+    Of a rig of three, one wrong focal length makes each look odd: then none is to blame. Where two
+    cameras are wrong, the second still looks odd beside the first one corrected.
     """
-    if not tried:
-        return None
-    first = tried[0]
-    own = {fault.camera for fault in first.faults}
-    rivals = [
-        each.evidence for each in tried if own.isdisjoint(fault.camera for fault in each.faults)
-    ]
-    return first if first.evidence > max(rivals, default=0.0) + DECISIVE_NATS else None
+    own = {fault.camera for fault in tried[0].faults}
+    others = (
+        ({fault.camera for fault in each.faults}, each.evidence)
+        for each in tried
+        if each.evidence > tried[0].evidence - DECISIVE_NATS
+    )
+    return set().union(*(cameras for cameras, _ in others if own.isdisjoint(cameras)))
 
 
 def _try_correction(
