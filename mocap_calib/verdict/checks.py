@@ -19,7 +19,6 @@ from mocap_calib.geometry.lens import project_views
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.results import Cause, GroupResult, Matches
 from mocap_calib.rig import gather_tracks, matched_share
-from mocap_calib.rig.averaging import best_scores
 from mocap_calib.types import CameraRig, Floats, Ints, Recording
 
 # of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras
@@ -93,12 +92,6 @@ def convergence(look: Look) -> float:
 
 
 # Of each camera
-
-
-def lack_of_score(look: Look) -> Floats:
-    """Return the error `[view]` of cameras whose best pair lacks a share of a score not weak."""
-    score = best_scores(look.group.pairs, len(look.group.rig.cameras))
-    return OPEN_DEG * np.clip(1 - score / look.config.averaging.weak_score, 0.0, 1.0)
 
 
 def over_time(look: Look) -> Floats:
@@ -191,14 +184,6 @@ CHECKS = (
         "a camera turned by {value:.1f} deg in the last round of adjusting and matching",
         "look for a camera with large errors, and record longer",
         convergence,
-    ),
-    CheckKind(
-        "pair score",
-        f"{OPEN_DEG:.0f} times the share that the camera's best pair lacks of a score of "
-        f"{Config().averaging.weak_score}",
-        "{camera}: its bodies do not look like those of any other camera",
-        "check that its file belongs to this recording",
-        lack_of_score,
     ),
     CheckKind(
         "over time",

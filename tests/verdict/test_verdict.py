@@ -403,7 +403,7 @@ def test_what_was_not_measured_has_not_passed():
 
 
 def test_a_camera_without_a_value_may_be_wrong_by_any_angle():
-    """Nothing of the last one goes with others; without pairs no camera has a score."""
+    """Nothing of the last one goes with others."""
     labels = sound().matches.labels.copy()
     labels[-1] = -1
     for name in ("errors", "over time"):
@@ -411,8 +411,6 @@ def test_a_camera_without_a_value_may_be_wrong_by_any_angle():
         assert (found.camera, found.error_deg) == (sound().rig.names[-1], OPEN_DEG)
         assert not found.measured
         assert "nothing to measure" in str(found)
-    none = check(replace(sound(), pairs=()), "pair score")
-    assert (none.measured, none.error_deg, none.camera) == (False, 0.0, "")
 
 
 def test_errors_to_all_sides_are_seen_by_their_median():
@@ -424,17 +422,6 @@ def test_errors_to_all_sides_are_seen_by_their_median():
     expected = np.rad2deg(20.0 / sound().rig.cameras[1].focal)
     assert found.error_deg == pytest.approx(expected, rel=0.1)
     assert check(group, "over time").error_deg < 0.3 * expected
-
-
-def test_a_camera_is_as_good_as_its_best_pair():
-    """All pairs of the last one have half of the score that is not weak."""
-    weak, last = Config().averaging.weak_score, len(sound().rig) - 1
-    pairs = tuple(
-        replace(pair, score=0.5 * weak if last in (pair.a, pair.b) else (0.1, 0.9)[pair.a == 0])
-        for pair in sound().pairs
-    )
-    found = check(replace(sound(), pairs=pairs), "pair score")
-    assert (found.camera, found.error_deg) == (sound().rig.names[last], pytest.approx(2.5))
 
 
 def test_a_rig_that_did_not_converge_is_off_by_its_last_turn():
