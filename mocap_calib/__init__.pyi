@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # or mypy checks the whole package as one circle
     from mocap_calib.pipeline import calibrate as calibrate
     from mocap_calib.recording.corrections import Cropped as Cropped
     from mocap_calib.recording.corrections import Exchanged as Exchanged
+    from mocap_calib.recording.corrections import Flipped as Flipped
     from mocap_calib.recording.corrections import Mirrored as Mirrored
     from mocap_calib.recording.corrections import Moved as Moved
     from mocap_calib.recording.corrections import Refocused as Refocused

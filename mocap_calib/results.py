@@ -49,6 +49,7 @@ FaultWord = Literal[
     "dropped",
     "focal",
     "mirrored",
+    "flipped",
     "sides",
     "rotated",
     "resized",
@@ -365,6 +366,8 @@ class Uncertainty(Record):
     focal_change: `[view]` what the logarithm of a given focal length would change by if it were
         free, and focal_sigma: `[view]` its standard deviation; NaN where they were estimated.
     wrong_focal: `[view]` cameras whose given focal lengths are certainly wrong.
+    mirrored: log evidence (nats) that bodies are seen in the mirror, by what the lifting network
+        predicts of their depths; NaN where it predicts none.
     """
 
     covariance: RigCovariance
@@ -374,6 +377,7 @@ class Uncertainty(Record):
     focal_change: Floats
     focal_sigma: Floats
     wrong_focal: Bools
+    mirrored: float = float("nan")
 
 
 @dataclass(frozen=True)

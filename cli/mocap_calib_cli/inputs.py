@@ -39,7 +39,15 @@ from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job.load import KeypointSource, LoadedRecording, load_recording
 from mocap_calib.job.steps import CalibrationRequest
-from mocap_calib.recording.corrections import Exchanged, Mirrored, Moved, Resized, Rotated, Sides
+from mocap_calib.recording.corrections import (
+    Exchanged,
+    Flipped,
+    Mirrored,
+    Moved,
+    Resized,
+    Rotated,
+    Sides,
+)
 from mocap_calib.types import ARBITRARY, CameraRig, Ints, Recording
 from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.names import WORLD
@@ -84,6 +92,7 @@ def keypoint_source(typed: Typed) -> KeypointSource:
         mends=(
             *starmap(Exchanged, typed.exchanged),
             *map(Mirrored, typed.mirrored),
+            *map(Flipped, typed.flipped),
             *map(Sides, typed.sides),
             *starmap(Rotated, dict(typed.rotated).items()),
             *(Resized(camera, *factors) for camera, factors in dict(typed.resized).items()),

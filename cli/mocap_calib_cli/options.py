@@ -12,6 +12,7 @@ frame_offset: Added to the frame numbers of a camera; may be given for each came
 crop_offset: Corner of the part of the image in which a camera's keypoints were found.
 views: Views in one file: endings of keypoint names (paw_A, paw_B), each a camera.
 mirrored: The video of this camera is mirrored, left for right.
+flipped: The y axis of this camera's keypoints goes up.
 sides: Left and right are exchanged in the names of this camera's keypoints.
 rotated: The images of a camera are turned clockwise against its intrinsics, by 90, 180 or 270
     degrees.
@@ -95,7 +96,7 @@ from mocap_calib_cli.outputs import STDIO
 # how keypoint files are to be read where they do not say it themselves, and what is wrong there
 READING = (
     *("format", "layout", "image_size", "camera_regex", "frame_offset", "crop_offset", "views"),
-    *("mirrored", "sides", "rotated", "resized", "exchanged"),
+    *("mirrored", "flipped", "sides", "rotated", "resized", "exchanged"),
 )
 KEYPOINTS = ("keypoints", *READING)
 MODEL = ("skeleton", "model", "device")
@@ -203,6 +204,7 @@ _ALL: tuple[click.Parameter, ...] = (
     option("--crop-offset", values.CROP_OFFSET, multiple=True),
     option("--views", values.VIEWS),
     option("--mirrored", values.CAMERA, multiple=True),
+    option("--flipped", values.CAMERA, multiple=True),
     option("--sides", values.CAMERA, multiple=True),
     option("--rotated", values.ROTATED, multiple=True),
     option("--resized", values.RESIZED, multiple=True),

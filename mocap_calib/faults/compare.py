@@ -194,10 +194,12 @@ def fit_hypotheses(
     matched = best.individual >= 0
     rotation = decompose_projection(best.projection)[1]
     turn = quarter_turn(rotation, others.rig.rotation, diagnosis.upright_deg)
+    # a camera on its head that sees the mirror image sees what one with a reversed y axis does
+    others_of_turn = {"flipped": turn == 180, "mirrored": turn != 180, f"rotated {turn}": True}
     tried = [
         each
         for each in list_hypotheses(sample, view)
-        if not each.name.startswith("rotated") or each.name == f"rotated {turn}"
+        if others_of_turn.get(each.name, not each.name.startswith("rotated"))
     ]
     pixels = np.stack([each.pixels[seen.frame, seen.instance] for each in tried])
     pixels[:, np.isnan(pixels).any((0, 3))] = np.nan  # all have the same keypoints

@@ -16,6 +16,7 @@ from mocap_calib.config import PLAIN_FACTORS, DiagnosisConfig
 from mocap_calib.errors import count
 from mocap_calib.recording.corrections import (
     Cropped,
+    Flipped,
     Mirrored,
     Refocused,
     Resized,
@@ -27,6 +28,7 @@ from mocap_calib.types import Camera, CameraClock, EstimatedCamera, Floats, Reco
 
 ADVICE: dict[FaultWord, str] = {
     "mirrored": "mirror the video and detect again",
+    "flipped": "write keypoints with the y axis down, from the upper border of the image",
     "sides": "exchange left and right in the names of its keypoints",
     "rotated": "give the intrinsics of the images as they are",
     "resized": "give the intrinsics of images of this size",
@@ -37,6 +39,7 @@ ADVICE: dict[FaultWord, str] = {
 }
 _SAYS: dict[FaultWord, str] = {
     "mirrored": "images horizontally mirrored",
+    "flipped": "the y axis goes up: images upside down and mirrored",
     "sides": "left and right exchanged",
     "rotated": "images turned clockwise by {0.degrees} deg against its intrinsics",
     "resized": "images resized by {0.text} against its intrinsics",
@@ -45,6 +48,7 @@ _SAYS: dict[FaultWord, str] = {
 }
 _OPTION: dict[FaultWord, str] = {
     "mirrored": "--mirrored {0.camera}",
+    "flipped": "--flipped {0.camera}",
     "sides": "--sides {0.camera}",
     "rotated": "--rotated {0.camera}:{0.degrees}",
     "resized": "--resized {0.camera}:{0.text}",
@@ -85,6 +89,7 @@ def list_hypotheses(recording: Recording, view: int) -> tuple[Hypothesis, ...]:
         ("sides", Sides(name)),
         ("mirrored", Mirrored(name, sides=False)),
         ("mirrored, sides", Mirrored(name, sides=True)),
+        ("flipped", Flipped(name)),
     ]
     if alone.cameras[0].size != (0, 0):
         mends += [(f"rotated {degrees}", Rotated(name, degrees)) for degrees in (90, 180, 270)]

@@ -13,6 +13,7 @@ import numpy as np
 
 from mocap_calib.config import DECISIVE_NATS, EPOCH_MARK, VERDICT_LIMITS_DEG, Config
 from mocap_calib.errors import DegenerateError
+from mocap_calib.faults.all_cameras import find_upward_axes
 from mocap_calib.faults.compare import Alternative, find_faulty_cameras
 from mocap_calib.faults.hypotheses import clock_faults, describe
 from mocap_calib.faults.leave_one_out import hold_each
@@ -34,7 +35,6 @@ _ROUNDS = 3  # of finding and correcting faults: one may hide another
 _NATS_OF_ALL = 2000.0
 _LEAST_DIFFERENCE = 0.01  # of the logarithms of focal lengths; to exchange equal ones is harmless
 _SYSTEMATIC = 0.01  # error of a change of focal length beyond its standard deviation
-_UNNATURAL_SIDES = 0.03  # rise of the log spread of lifted bodies; measured 0.05 and more
 
 
 def mend_faults(
@@ -99,7 +99,8 @@ def find_alternatives(
         for group, views in zip(result.groups, held, strict=True)
         for each in find_moved_cameras(observed, group, views, config)
     ]
-    return sorted([*exchanged, *faulty, *moved], key=lambda each: -each.evidence)
+    single = sorted([*exchanged, *faulty, *moved], key=lambda each: -each.evidence)
+    return [*find_upward_axes(result.groups[0]), *single]
 
 
 @dataclass(frozen=True)
@@ -140,14 +141,15 @@ def _try_correction(
     """
     try:
         corrected = calibrate(apply_mends(recording, mends_of((*known, *new))))
-        others = _sides_of_others(new, calibrated[0], corrected[0])
+        others = _sides_of_others(new, recording.names, corrected[1])
         if others:
             new = others
             corrected = calibrate(apply_mends(recording, mends_of((*known, *new))))
     except DegenerateError:
         return None
-    sigma = corrected[1].groups[0].uncertainty.covariance.rotation_sigma.max()
-    if not np.rad2deg(sigma) < VERDICT_LIMITS_DEG[-1]:
+    known_of = corrected[1].groups[0].uncertainty
+    sigma = known_of.covariance.rotation_sigma.max()
+    if not np.rad2deg(sigma) < VERDICT_LIMITS_DEG[-1] or known_of.mirrored > DECISIVE_NATS:
         return None
     errors = _errors_of([calibrated, corrected])
     if not _fits(new, errors[1], corrected[1]):
@@ -203,36 +205,24 @@ def _may_be_reflected(faults: Sequence[Fault], result: CalibrationResult) -> boo
 
 
 def _sides_of_others(
-    found: Sequence[Fault], observed: Observed, corrected: Observed
+    found: Sequence[Fault], names: Sequence[str], corrected: CalibrationResult
 ) -> tuple[Fault, ...]:
     """Return the faults of the others where cameras that differ from them had their sides right.
 
-    Geometry shows only that these differ from those. But no body bends its knees backwards: the
-    lifting network is less certain of detections whose sides are exchanged. Where the others are
-    more than twice as many, they are taken to be right.
+    Geometry shows only that these differ from those. But with all sides exchanged bodies are seen
+    in the mirror. Where the others are more than twice as many, they are taken to be right.
 
-    observed, corrected: what was known with the sides of the cameras as they are, and exchanged.
+    names: of all cameras. corrected: what was found with the sides of the cameras exchanged.
     """
-    names = [fault.camera for fault in found if isinstance(fault.mend, Sides)]
-    others = [name for name in observed.recording.names if name not in names]
-    if len(names) < len(found) or len(others) > 2 * len(names):
+    own = [fault.camera for fault in found if isinstance(fault.mend, Sides)]
+    others = [name for name in names if name not in own]
+    mirrored = corrected.groups[0].uncertainty.mirrored > DECISIVE_NATS
+    if not mirrored or len(own) < len(found) or len(others) > 2 * len(own):
         return ()
-    rises = [log_spread(corrected, name) - log_spread(observed, name) for name in names]
-    rise = float(np.mean(rises))
-    if not rise > _UNNATURAL_SIDES:
-        return ()
-    evidence = {**found[0].evidence, "spread": rise}
     mends = [Sides(name) for name in others]
-    return tuple(Fault(mend.camera, mend.word, describe(mend), evidence, mend) for mend in mends)
-
-
-def log_spread(observed: Observed, camera: str) -> float:
-    """Return the median logarithm of the network's spread of a camera's lifted bodies."""
-    spread = observed.lifted.spread[observed.recording.names.index(camera)]
-    lifted = np.isfinite(spread).any(-1)
-    if not lifted.any():
-        return float("nan")
-    return float(np.median(np.log(np.nanmean(spread[lifted] ** 2, axis=-1))) / 2)
+    return tuple(
+        Fault(mend.camera, mend.word, describe(mend), found[0].evidence, mend) for mend in mends
+    )
 
 
 def _errors_of(results: Sequence[Calibrated]) -> list[Floats]:

@@ -22,6 +22,7 @@ from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.job.load import KeypointSource, load_recording
 from mocap_calib.job.results import name_results
 from mocap_calib.recording.corrections import (
+    Flipped,
     Mirrored,
     Moved,
     Sides,
@@ -223,6 +224,8 @@ def _mends_of(folder: ResultsFolder) -> Sequence[Mend]:
         if found.get("mirrored", {}).get("mended"):
             alone = "--sides" in (found["mirrored"]["option"] or "")
             mends.append(Mirrored(camera["name"], sides=not alone))
+        if found.get("flipped", {}).get("mended"):
+            mends.append(Flipped(camera["name"]))
         if found.get("sides", {}).get("mended"):
             mends.append(Sides(camera["name"]))
     return mends

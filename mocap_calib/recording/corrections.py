@@ -46,14 +46,20 @@ class Mirrored:
 
     def apply(self, recording: Recording) -> Recording:
         """Return the recording with the detections as the camera would have seen them."""
-        view = find_view(recording, self.camera)
-        camera = recording.cameras[view]
-        width = camera.size[0]
-        last = width - 1 if width else 2 * camera.matrix[0, 2]
-        positions = recording.positions.copy()
-        positions[view, ..., 0] = last - positions[view, ..., 0]
-        mirrored = replace(recording, positions=positions)
+        mirrored = _reverse_axis(recording, self.camera, 0)
         return Sides(self.camera).apply(mirrored) if self.sides else mirrored
+
+
+@dataclass(frozen=True)
+class Flipped:
+    """The y axis of the keypoints of a camera goes up, from the lower border of its images."""
+
+    camera: str
+    word: ClassVar[FaultWord] = "flipped"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with the y axis of the camera down."""
+        return _reverse_axis(recording, self.camera, 1)
 
 
 @dataclass(frozen=True)
@@ -264,6 +270,15 @@ def exchanged_sides(keypoints: tuple[str, ...]) -> Ints:
     for left, right in side_pairs(keypoints):
         order[[left, right]] = right, left
     return order
+
+
+def _reverse_axis(recording: Recording, name: str, axis: int) -> Recording:
+    """Return the recording with the x (0) or the y axis (1) of a camera's keypoints reversed."""
+    view = find_view(recording, name)
+    camera, positions = recording.cameras[view], recording.positions.copy()
+    last = camera.size[axis] - 1 if camera.size[axis] else 2 * camera.matrix[axis, 2]
+    positions[view, ..., axis] = last - positions[view, ..., axis]
+    return replace(recording, positions=positions)
 
 
 def _turn_clockwise(camera: Camera) -> Camera:

@@ -26,7 +26,14 @@ _TURN_BY_SCALE = 0.3  # radians, of two cameras by the logarithm of a scale; mea
 _ANY_DEG = 90.0  # where nothing is known
 _OTHER_DEG = 10.0  # from which turn on an alternative is another answer
 _AS_GOOD = 0.9  # score of an alternative, as a share of the answer's, from which on it may be right
-_HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected
+_HARMFUL = (
+    "mirrored",
+    "flipped",
+    "rotated",
+    "resized",
+    "cropped",
+    "exchanged",
+)  # where not corrected
 
 
 def uncertain_cameras(group: GroupResult, config: Config) -> Iterator[Cause]:
@@ -104,6 +111,16 @@ def left_open(
             meaning = f"{clock.camera}: it is on another clock, which was not corrected"
             remedy = f"use {argument('sync', 'auto')}"
             yield Cause("clock", clock.camera, OPEN_DEG, meaning, remedy)
+
+
+def mirrored_world(group: GroupResult) -> Iterator[Cause]:
+    """Yield that all images may be mirrored, or the names of left and right exchanged in all."""
+    nats = group.uncertainty.mirrored
+    if not nats > 0 or group.uncertainty.weak_perspective.all():
+        return
+    meaning = "left and right are exchanged in all cameras, or all images are mirrored"
+    remedy = f"use {argument('sides')} or {argument('mirrored')} of each camera"
+    yield Cause("mirrored", "", _ANY_DEG * float(-np.expm1(-nats)), meaning, remedy)
 
 
 def other_answers(group: GroupResult) -> Iterator[Cause]:

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.adjust.covariance import rig_covariance
 from mocap_calib.adjust.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
 from mocap_calib.adjust.refine import (
@@ -40,6 +41,7 @@ from mocap_calib.results import (
     GroupResult,
     LiftedPoses,
     Matches,
+    Poses3D,
     RigCovariance,
     TimeOffsets,
     Uncertainty,
@@ -60,6 +62,7 @@ from mocap_calib.types import (
 )
 from mocap_calib.verdict.causes import (
     left_open,
+    mirrored_world,
     other_answers,
     resized_images,
     uncertain_cameras,
@@ -97,6 +100,7 @@ def assess(
         *uncertain_principal_points(group, faults, config.uncertainty),
         *(check for check in checks if check.error_deg > 0),
         *left_open(group, checks, faults, clocks),
+        *mirrored_world(group),
         *other_answers(group),
         *unchecked_by_a_third_camera(group, config),
         *resized_images(group, config),
@@ -140,6 +144,8 @@ def conclude(
         uncertainty = assess_uncertainty(sample, rig, sampled, config)
     with clock("triangulate"):
         poses = triangulate(recording, rig, matches, config.triangulate, progress=progress)
+    depths = agreement_of_depths(observed, rig, sampled, poses)
+    uncertainty = replace(uncertainty, mirrored=mirror_nats(depths, config.uncertainty))
     group = GroupResult(
         recording=recording,
         pairs=in_recording(observed.pairs, observed.sample_frames),
@@ -295,6 +301,56 @@ def estimated_focal_changes(
             nothing = RigCovariance.unknown(len(cameras), rig_size(rig)).matrix
             changes.append(np.sqrt(np.einsum("vivi->vi", nothing)))
     return np.array(changes).reshape(-1, len(rig.cameras), POSE)
+
+
+# --- whether bodies are seen in the mirror
+
+
+def agreement_of_depths(
+    observed: Observed, rig: CameraRig, matches: Matches, poses: Poses3D
+) -> Floats:
+    """Return the correlations `[view, frame]` of predicted and of triangulated depths of joints.
+
+    Of the detections of a frame of the sample together, about the mean of each; NaN = none.
+    matches: of the sample.
+    """
+    sample, labels = observed.sample, matches.labels
+    known = np.flatnonzero(sample.vocabulary >= 0)
+    points = mapped.take(poses.raw, observed.sample_frames)[:, :, known]
+    found = np.full(labels.shape[:2], np.nan)
+    for view, axis in enumerate(rig.rotation[:, 2]):
+        frame, instance = np.nonzero(labels[view] >= 0)
+        depth = points[frame, labels[view, frame, instance]] @ axis
+        lifted = observed.lifted.body[view, frame, instance][:, sample.vocabulary[known], 2]
+        both = np.isfinite(depth + lifted)
+        depth, lifted = (_about_mean(values, both) for values in (depth, lifted))
+        sums = [(depth * lifted).sum(1), (depth**2).sum(1), (lifted**2).sum(1)]
+        count = len(found[view])
+        product, *squares = (np.bincount(frame, each, minlength=count) for each in sums)
+        some = np.minimum(*squares) > 0
+        found[view, some] = (product / np.sqrt(np.maximum(squares[0] * squares[1], 1e-300)))[some]
+    return found
+
+
+def _about_mean(values: Floats, known: Bools) -> Floats:
+    """Return values `[N, joint]` less the mean of those known, 0 where not known."""
+    mean = np.where(known, values, 0.0).sum(1) / np.maximum(known.sum(1), 1)
+    return np.where(known, values - mean[:, None], 0.0)
+
+
+def mirror_nats(agreement: Floats, config: UncertaintyConfig) -> float:
+    """Return the log evidence (nats) that bodies are seen in the mirror; NaN where none is known.
+
+    agreement: `[view, frame]` correlations, negative in the mirror. That their mean is no chance,
+    given its spread over stretches of time (Vuong 1989), in which errors of depths go together.
+    """
+    frames = agreement[:, np.isfinite(agreement).any(0)]
+    if frames.shape[1] < 2:
+        return float("nan")
+    stretches = np.array_split(frames, min(config.time_blocks, frames.shape[1]), axis=1)
+    means = np.array([np.nanmean(part) for part in stretches])
+    mean, variance = float(means.mean()), float(means.var(ddof=1))
+    return -mean * abs(mean) * len(means) / max(2 * variance, 1e-12)
 
 
 # --- which focal lengths that were given are wrong

@@ -31,6 +31,7 @@ VALUES: dict[str, str | list[str]] = {
     "crop-offset": ["a: b:640,0.5"],
     "views": "-,~",
     "mirrored": ["on", "null", "~", "- x", "[x", "*a", "!x", "%a", "@a", "---", "<<", "=", "? x"],
+    "flipped": ["a"],
     "sides": ["'", '"', "a\nb", "\t", "{x}", "&a", "x:", " ", "a #b"],
     "rotated": ["cam1:90"],
     "resized": ["cam1:0.5", "cam2:1,0.75"],

@@ -124,6 +124,26 @@ def test_a_clock_is_applied_where_the_rig_then_explains_more(late, monkeypatch):
     assert rotation_errors_deg(result.groups[0].rig, true).max() < 1.0
 
 
+def test_y_axes_that_go_up_in_all_cameras_are_reversed():
+    """Bodies stand on their heads in the mirror, and nothing else shows it."""
+    given, true = plain()
+    for name in given.names:
+        given = mc.Flipped(name).apply(given)
+    result = calibrate_all(given)
+    assert named(result) == {(name, "flipped") for name in given.names}
+    assert rotation_errors_deg(result.groups[0].rig, true).max() < 1.0
+
+
+def test_a_rig_of_mirrored_images_is_not_determined():
+    """Or the names of left and right are exchanged in all cameras: the rig would be right then."""
+    given, _ = plain(people=3)
+    for name in given.names:
+        given = mc.Mirrored(name, sides=False).apply(given)
+    result = calibrate_all(given)
+    assert result.faults == ()
+    assert result.groups[0].verdict == "not determined"
+
+
 def test_of_two_cameras_none_is_named():
     """Neither of exchanged sides nor of having moved."""
     given, _ = plain(cameras=2)

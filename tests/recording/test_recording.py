@@ -21,6 +21,7 @@ from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
 from mocap_calib.recording.corrections import (
     Cropped,
     Exchanged,
+    Flipped,
     Mirrored,
     Moved,
     Refocused,
@@ -472,19 +473,21 @@ def see(filmed: Recording, view, positions):
     return replace(filmed, positions=changed)
 
 
-def test_a_mirrored_image_is_mirrored_back_with_its_sides(filmed):
+def test_a_reversed_axis_is_reversed_back_with_its_sides(filmed):
     """Mirrored after the detection, the sides are right."""
     order = exchanged_sides(NAMES)
     assert list(order) == [0, 2, 1, 4, 3]
-    mirrored = filmed.positions[1].copy()
+    mirrored, flipped = filmed.positions[1].copy(), filmed.positions[1].copy()
     mirrored[..., 0] = WIDTH - 1 - mirrored[..., 0]
+    flipped[..., 1] = HEIGHT - 1 - flipped[..., 1]
     for positions, mends in (
         (mirrored[:, :, order], (Mirrored("b"),)),
         (mirrored, (Mirrored("b"), Sides("b"))),
         (mirrored, (Mirrored("b", sides=False),)),
+        (flipped, (Flipped("b"),)),
     ):
         mended = apply_mends(see(filmed, 1, positions), mends)
-        close(mended.positions, filmed.positions, atol=1e-9)
+        close(mended.positions, filmed.positions, atol=1e-4)  # of 32 bits
 
 
 @pytest.mark.parametrize("degrees", [90, 180, 270])
@@ -659,6 +662,7 @@ def test_cameras_yaml_keeps_the_clocks(tmp_path):
 MENDS = {
     "--mirrored c": Mirrored("c"),
     "--mirrored c --sides c": Mirrored("c", sides=False),
+    "--flipped c": Flipped("c"),
     "--sides c": Sides("c"),
     "--rotated c:90": Rotated("c", 90),
     "--resized c:0.5": Resized("c", 0.5),

@@ -44,6 +44,7 @@ from mocap_calib.verdict.verdict import (
     assess_uncertainty,
     expected_error,
     judge,
+    mirror_nats,
 )
 
 SETTINGS = Config().uncertainty
@@ -91,6 +92,26 @@ def uncertainty(
         focal_sigma=np.ones(views),
         wrong_focal=none,
     )
+
+
+# --- bodies in the mirror
+
+
+def test_depths_predicted_the_wrong_way_round_are_evidence_of_a_mirror():
+    """Of ten stretches with correlations of -0.5 +- 0.1 it is 0.25 * 10 / (2 * 0.01), about."""
+    agreement = np.random.default_rng(0).normal(0.5, 0.1, size=(1, 10))
+    expected = agreement.mean() ** 2 * 10 / (2 * agreement.var(ddof=1))
+    assert mirror_nats(-agreement, SETTINGS) == pytest.approx(expected)
+    assert mirror_nats(agreement, SETTINGS) == pytest.approx(-expected)
+    assert np.isnan(mirror_nats(np.full((2, 10), np.nan), SETTINGS))
+
+
+@pytest.mark.parametrize(("nats", "error"), [(-5.0, 0.0), (np.nan, 0.0), (np.log(2), 45.0)])
+def test_a_rig_in_the_mirror_may_be_wrong_by_any_angle(nats, error):
+    group = calibrated()
+    known = replace(group.uncertainty, mirrored=nats)
+    found = causes_of(replace(group, uncertainty=known), "mirrored")
+    assert sum(cause.error_deg for cause in found) == pytest.approx(error)
 
 
 # --- the word, and what adds to the error

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _READING = tuple(
-    name for name in options.READING if name not in ("sides", "rotated", "resized", "exchanged")
+    name
+    for name in options.READING
+    if name not in ("flipped", "sides", "rotated", "resized", "exchanged")
 )
 
 

@@ -18,6 +18,7 @@ class _Evidence(msgspec.Struct):
 
 class _FaultEvidence(msgspec.Struct):
     mirrored: _Evidence | None = None
+    flipped: _Evidence | None = None
     sides: _Evidence | None = None
 
 
