@@ -15,7 +15,7 @@ from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement, round_sigma
 from mocap_calib.io.world_fields import world_fields
 from mocap_calib.pairs.solve import all_pairs
-from mocap_calib.recording.corrections import describe_epochs, own_name, views_by_camera
+from mocap_calib.recording.epochs import describe_epochs, own_name, views_by_camera
 from mocap_calib.results import (
     POINT_SOURCES,
     CalibrationResult,

@@ -30,7 +30,8 @@ from mocap_calib.config import DECISIVE_NATS, VERDICT_LIMITS_DEG, Config, MovedC
 from mocap_calib.faults.compare import Alternative
 from mocap_calib.faults.leave_one_out import Held, leave_out, pose_beside
 from mocap_calib.geometry.rotation import angle_between, rig_size
-from mocap_calib.recording.corrections import Moved, own_name
+from mocap_calib.recording.corrections import Moved
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.results import Fault, GroupResult
 from mocap_calib.rig import MEDIAN_DISTANCE, Observed, per_frame_labels

@@ -8,7 +8,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import angle_between, rig_size
 from mocap_calib.html_report.source import Reference, ReportSource
-from mocap_calib.recording.corrections import list_epochs, views_by_camera
+from mocap_calib.recording.epochs import list_epochs, views_by_camera
 from mocap_calib.types import CameraRig, Floats, PosedCamera
 from mocap_calib.verdict.evaluation import lay_over
 

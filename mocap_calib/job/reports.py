@@ -27,9 +27,8 @@ from mocap_calib.recording.corrections import (
     Moved,
     Sides,
     apply_mends,
-    own_names,
-    views_by_camera,
 )
+from mocap_calib.recording.epochs import own_names, views_by_camera
 from mocap_calib.report import SCHEMA
 from mocap_calib.results import Matches, Mend
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording

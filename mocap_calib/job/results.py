@@ -28,7 +28,7 @@ from mocap_calib.io.results.group import (
     write_run_json,
 )
 from mocap_calib.lift.lifter import load_vocabulary
-from mocap_calib.recording.corrections import (
+from mocap_calib.recording.epochs import (
     Epoch,
     epoch_folder,
     list_epochs,

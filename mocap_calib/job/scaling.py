@@ -25,7 +25,7 @@ from mocap_calib.io.pose_files import load_poses
 from mocap_calib.io.results.group import PAGE, REPORT, read_outputs, write_run_json
 from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.io.world_fields import world_fields
-from mocap_calib.recording.corrections import own_name
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.report import SCHEMA
 from mocap_calib.results import RigCovariance
 from mocap_calib.types import ARBITRARY, CameraRig, World

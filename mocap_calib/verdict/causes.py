@@ -14,7 +14,8 @@ from mocap_calib.config import (
 from mocap_calib.errors import argument, count
 from mocap_calib.geometry.lens import centre_sigma
 from mocap_calib.geometry.rotation import angle_between, quarter_turn
-from mocap_calib.recording.corrections import Cropped, own_name
+from mocap_calib.recording.corrections import Cropped
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.results import Cause, Clocks, Fault, GroupResult
 from mocap_calib.rig import labelled_frames, matched_share
 from mocap_calib.types import Camera, EstimatedCamera, Floats

@@ -13,7 +13,7 @@ import numpy as np
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
 from mocap_calib.errors import MismatchError, argument, count, one_line, suggest
 from mocap_calib.geometry.rotation import Similarity, align_by_similarity, angle_between, rig_size
-from mocap_calib.recording.corrections import views_by_camera
+from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.results import RigCovariance
 from mocap_calib.rig.triangulate import triangulate_pixels
 from mocap_calib.types import METRES, Bools, Camera, CameraRig, Floats, MeasuredLandmark, World

@@ -13,7 +13,7 @@ from mocap_calib.config import CueConfig, ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError, argument, spell_as_option, suggest
 from mocap_calib.geometry.rotation import body_size
 from mocap_calib.kinematics import quantile_over_frames
-from mocap_calib.recording.corrections import views_by_camera
+from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.results import Poses3D, RigCovariance
 from mocap_calib.types import CameraRig, Floats, MeasuredCue, World

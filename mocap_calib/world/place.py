@@ -9,7 +9,7 @@ import numpy as np
 from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError, argument, spell_as_option, suggest
 from mocap_calib.geometry.rotation import Similarity, nearest_rotation
-from mocap_calib.recording.corrections import own_names, views_by_camera
+from mocap_calib.recording.epochs import own_names, views_by_camera
 from mocap_calib.results import CalibrationResult, GroupResult, Poses3D, RigCovariance
 from mocap_calib.types import METRES, CameraRig, Floats, Recording, World
 from mocap_calib.world.align import (

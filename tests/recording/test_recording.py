@@ -30,6 +30,8 @@ from mocap_calib.recording.corrections import (
     Sides,
     apply_mends,
     exchanged_sides,
+)
+from mocap_calib.recording.epochs import (
     list_epochs,
     own_name,
     recording_of_epoch,

@@ -21,7 +21,12 @@ from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.poses import PoseFile
 from mocap_calib.io.provenance import hold_for
 from mocap_calib.io.results.matches_csv import matches_csv
-from mocap_calib.recording.corrections import Epoch, epoch_folder, list_epochs, rig_of_epoch
+from mocap_calib.recording.epochs import (
+    Epoch,
+    epoch_folder,
+    list_epochs,
+    rig_of_epoch,
+)
 from mocap_calib.results import Clocks, GroupResult
 from mocap_calib.types import CameraRig
 

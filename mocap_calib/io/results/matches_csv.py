@@ -10,7 +10,7 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.errors import FormatError, MismatchError, one_line
 from mocap_calib.io.document import Document, as_document
 from mocap_calib.io.table import format_csv_line, format_lines, read_rows, slice_frames
-from mocap_calib.recording.corrections import own_name
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.names import compose_name
 from mocap_calib.results import NO_FRAME, Clocks, Matches
 from mocap_calib.types import Bools, Ints, Reals, Recording
