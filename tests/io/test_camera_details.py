@@ -50,6 +50,7 @@ def check(path: Path, expected: str | Mapping[str, Any]) -> None:
             assert getattr(cameras[0], name) == value
 
 
+LENS = {"matrix": K, "distortion": [0.1, -0.2, 0, 1e-3, 0]}
 SEEN = {"size": (640, 480), "fisheye": False, "matrix": K, "distortion": [0.1, -0.2, 0, 1e-3, 0]}
 
 
@@ -71,6 +72,38 @@ CASES = {  # of intrinsics alone, which `convert` refuses, and of files that are
     "too large": ("K: " + "[1]," * 1_100_000, "below 2 MB"),
     "a crowd of values": ("camera_matrix: [" + "1," * 60_000 + "1]\n", "50000 values"),
     "long nothing": (" \n" * 100_000, REFUSED),
+    **{
+        f"the lens under {key}": (f"mtx: {FLAT}\n{key}: [0.1, -0.2, 0, 0.001, 0]\n", LENS)
+        for key in (
+            *("dist", "distCoeffs", "distortion", "distortion_coeffs", "kc", "D", "dist_coef"),
+            *("Distortion_Coefficients", "distortionParameters", "DistCoeff", "lens_distortion"),
+        )
+    },
+    **{
+        f"the matrix under {key}": (f"{key}: {FLAT}\ndist: [0.1, -0.2, 0, 0.001, 0]\n", LENS)
+        for key in ("cameraMatrix", "Camera_Matrix", "K", "intrinsic_matrix", "cam_mtx", "camera_K")
+    },
+    **{
+        f"a fisheye by {flag}": (f"K: {FLAT}\n{flag}\nD: [0.1, 0, 0, 0]\n", {"fisheye": True})
+        for flag in (
+            *("fisheye_model: 1", "camera_model: fisheye", "is_fisheye: true", "fisheye: 1"),
+            *("lens_type: fisheye", "model: OPENCV_FISHEYE", "distortion_model: kannala_brandt4"),
+        )
+    },
+    "no fisheye": (f"K: {FLAT}\nfisheye_model: 0\nmodel: opencv\n", {"fisheye": False}),
+    "coefficients one by one": (
+        "size: [640, 480]\nfx: 500\nfy: 501\ncx: 320\ncy: 240\nk1: 0.1\nk2: -0.2\np2: 0.001\n",
+        SEEN | {"distortion": [0.1, -0.2, 0, 1e-3]},
+    ),
+    "MATLAB's coefficients": (
+        f"K: {FLAT}\nRadialDistortion: [0.1, -0.2]\nTangentialDistortion: [0, 0.001]\n",
+        {"distortion": [0.1, -0.2, 0, 1e-3]},
+    ),
+    "poses of a board": (
+        f"img_shape: [480, 640, 3]\nmtx: {FLAT}\nrvecs: {[[1, 2]] * 7}\ntvecs: {[[1, 2]] * 7}",
+        {"size": (640, 480)},
+    ),
+    "JSON": (f'{{"camera_matrix": {K}, "dist": [[0.1, -0.2, 0, 0.001, 0]]}}', LENS),
     "deep nothing": ("[" * 200_000, REFUSED),
     "one word": ("a" * 1_000_000, REFUSED),
 }

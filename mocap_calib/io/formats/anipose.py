@@ -21,13 +21,13 @@ import tomli_w
 
 from mocap_calib import __version__
 from mocap_calib.geometry.rotation import vector_from_matrix
+from mocap_calib.io.camera_fields import camera_fields, has_matrix
 from mocap_calib.io.cameras import (
     CameraFile,
     RawCamera,
     check_rig,
     collect_cameras,
     lens_terms,
-    pick,
 )
 from mocap_calib.io.document import Document, describe_names
 from mocap_calib.io.file import unsigned_zeros
@@ -87,7 +87,7 @@ def read(document: Document) -> CameraFile:
     notes: list[str] = []
     for section, fields in sections:
         name = str(fields.get("name", section))
-        if not isinstance(fields.get("matrix"), list):
+        if not has_matrix(fields):
             notes.append(f"camera {name} has no intrinsics and is left out")
             continue
         if fields.get("rotation_count", 0) != 0:
@@ -95,11 +95,10 @@ def read(document: Document) -> CameraFile:
                 f"camera {name} is shown turned by caliscope; its matrix is of the images as they "
                 "were recorded"
             )
-        keys = {each: each for each in ("size", "matrix", "rotation", "translation")}
-        found = pick(fields, **keys, distortion="distortions")
+        found = camera_fields(fields, f"{document.source}: camera {name}")
         # caliscope writes the text "null" where it has no extrinsics
         found = {key: None if value == "null" else value for key, value in found.items()}
-        raws.append(RawCamera(name=name, fisheye=fields.get("fisheye") is True, **found))
+        raws.append(RawCamera(name=name, **found))
     metadata = dict(_tables(data)).get("metadata", {})
     unit, provenance = metadata.get("unit", ""), metadata.get("provenance")
     cameras = collect_cameras(raws, document.source, unit=unit, notes=notes, provenance=provenance)
@@ -112,11 +111,11 @@ def _sections(data: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     Those of caliscope are one below ([cameras.0]), and one may lack its matrix.
     """
     for name, table in _tables(data):
-        if isinstance(table.get("matrix"), list):
+        if has_matrix(table):
             yield name, table
             continue
         for inner_name, inner in _tables(table):
-            if isinstance(inner.get("matrix"), list) or "cam_id" in inner:
+            if has_matrix(inner) or "cam_id" in inner:
                 yield inner_name, inner
 
 

@@ -27,6 +27,7 @@ import numpy as np
 
 from mocap_calib.config import CORNER_OFFSET
 from mocap_calib.errors import FormatError
+from mocap_calib.io.camera_fields import camera_fields
 from mocap_calib.io.cameras import (
     CameraFile,
     RawCamera,
@@ -36,7 +37,6 @@ from mocap_calib.io.cameras import (
     entries,
     lens_terms,
     numbers,
-    pick,
     pinhole_terms,
     to_json,
 )
@@ -55,11 +55,8 @@ _VOXELPOSE_MATRIX = ("fx", "fy", "cx", "cy")
 def read_panoptic(document: Document) -> CameraFile:
     """Read the cameras. Raises FormatError."""
     data = document.mapping("cameras")
-    keys = {"matrix": "K", "distortion": "distCoef", "size": "resolution"}
     raws = [
-        RawCamera(
-            name=each.get("name") or number, **pick(each, **keys, rotation="R", translation="t")
-        )
+        RawCamera(name=each.get("name") or number, **camera_fields(each, document.source))
         for number, each in entries(data["cameras"], document.source, "K", "distCoef")
     ]
     return collect_cameras(raws, document.source, provenance=data.get("provenance"))
@@ -102,17 +99,14 @@ def read_voxelpose(document: Document) -> CameraFile:
     )
     for number, each in cameras:
         where = f"{document.source}: camera {number}"
-        k1, k2, k3 = numbers(each.get("k") or [0] * 3, "three k, or none", where, 3).ravel()
-        p1, p2 = numbers(each.get("p") or [0] * 2, "two p, or none", where, 2).ravel()
-        raws.append(
-            RawCamera(
-                name=each.get("name") or number,
-                matrix=[each[key] for key in _VOXELPOSE_MATRIX],
-                distortion=[k1, k2, p1, p2, k3],
-                rotation=each["R"],
-                centre=each["T"],
-            )
-        )
+        lens: dict[str, Any] = {"translation": None, "centre": each["T"]}
+        if each.get("k") or each.get("p"):
+            k1, k2, k3 = numbers(each.get("k") or [0] * 3, "three k, or none", where, 3).ravel()
+            p1, p2 = numbers(each.get("p") or [0] * 2, "two p, or none", where, 2).ravel()
+            lens["distortion"] = [k1, k2, p1, p2, k3]
+        matrix = {"matrix": [each[key] for key in _VOXELPOSE_MATRIX]}
+        fields = camera_fields(each, where) | matrix | lens
+        raws.append(RawCamera(name=each.get("name") or number, **fields))
     return collect_cameras(raws, document.source)
 
 
@@ -194,10 +188,8 @@ def read_multiview_calib(document: Document) -> CameraFile:
             views[name] = views.get(name, {}) | pose
     raws = []
     for name, view in views.items():
-        keys = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}
-        shape = view.get("image_shape")
-        size = shape[1::-1] if isinstance(shape, list) else None
-        raws.append(RawCamera(name=name, size=size, **pick(view, **keys)))
+        found = camera_fields(view, f"{document.source}: camera {name}")
+        raws.append(RawCamera(name=name, **found))
     unit = next((view.get("unit", "") for view in views.values()), "")
     return collect_cameras(raws, document.source, unit=unit)
 
@@ -238,10 +230,11 @@ def read_nerfstudio(document: Document) -> CameraFile:
     return collect_cameras(raws, document.source, unit=unit, provenance=provenance)
 
 
-def _read_frame(fields: Mapping[str, Any], where: str) -> RawCamera:
+def _read_frame(fields: dict[str, Any], where: str) -> RawCamera:
     """Return the camera of a frame. Raises FormatError."""
     need(fields, ("fl_x", "cx", "cy"), where)
-    model = str(fields.get("camera_model", "OPENCV"))
+    fisheye = camera_fields(fields, where)["fisheye"]
+    model = "OPENCV_FISHEYE" if fisheye else str(fields.get("camera_model", "OPENCV"))
     if model not in _TERMS:
         expected = f"the camera_model {', '.join(_TERMS)}"
         raise FormatError(where, expected, model, "undistort, or choose another model")

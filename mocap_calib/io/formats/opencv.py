@@ -1,6 +1,7 @@
 """YAML of matrices: what people write with cv2.FileStorage (also EasyMocap, JARVIS), ROS, Kalibr.
 
-* OpenCV fixes no names of fields, so that each has several that are in use. Matrices are those of
+* OpenCV fixes no names of fields, so that each has several that are in use (`camera_fields`).
+  Its own calibration program states a fisheye by `fisheye_model: 1`. Matrices are those of
   FileStorage (rows, cols, data), or nine numbers as ROS lists them. A file has one camera, named by
   `camera_name` or the file's name. There is no unit of length; a field `unit` states ours.
 * ROS' camera_info: R and P rectify images and are not the pose of the camera; it has no extrinsics.
@@ -17,6 +18,7 @@
 """
 
 import json
+import re
 from collections.abc import Mapping
 from functools import partial
 from typing import Any, Literal
@@ -25,6 +27,7 @@ import msgspec
 import numpy as np
 
 from mocap_calib.geometry.rotation import vector_from_matrix
+from mocap_calib.io.camera_fields import camera_fields, has_matrix
 from mocap_calib.io.cameras import (
     FILE_NAME,
     CameraFile,
@@ -39,29 +42,25 @@ from mocap_calib.io.document import Document, describe_names, need, typed
 from mocap_calib.io.format import Format, Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
-_INTRINSIC_KEYS: dict[str, tuple[str, ...]] = {
-    "matrix": ("camera_matrix", "K", "M1", "intrinsic_matrix", "k"),
-    "distortion": (
-        *("distortion_coefficients", "dist_coeffs", "distCoeffs", "dist_coeff"),
-        *("D", "D1", "d"),
-    ),
-}
-_EXTRINSIC_KEYS: dict[str, tuple[str, ...]] = {
-    "rotation": ("rvec", "R", "rotation", "rotation_matrix", "rotation_vector"),
-    "translation": ("tvec", "T", "t", "translation", "translation_vector"),
-}
-_SIZE_KEYS = {"width": ("image_width", "width"), "height": ("image_height", "height")}
-_FISHEYE_MODELS = ("equidistant", "fisheye")
-_PINHOLE_MODELS = ("", "plumb_bob", "rational_polynomial", "opencv", "pinhole", "radtan", "none")
 _INTRINSICS, _EXTRINSICS = "intri.yml", "extri.yml"
 
 
 # --- OpenCV and ROS
 
 
+def sniff_opencv(document: Document) -> bool:
+    """Return whether this is what FileStorage writes, or has a camera matrix among its fields."""
+    if document.syntax == "json":
+        return has_matrix(document.tree)
+    if document.has_line(r"\A\s*%YAML|!!opencv-matrix"):
+        return True
+    lines = re.findall(r"^([\w -]+):", document.text, re.M) if document.has_line("") else ()
+    return has_matrix(dict.fromkeys(lines))
+
+
 def read_ros(document: Document) -> CameraFile:
     """Read the intrinsics of a camera_info. Raises FormatError."""
-    return _read_camera(document, _INTRINSIC_KEYS)
+    return _read_camera(document, rotation=None, translation=None)
 
 
 def read_opencv(document: Document) -> CameraFile:
@@ -69,27 +68,18 @@ def read_opencv(document: Document) -> CameraFile:
 
     Raises FormatError.
     """
-    return _read_camera(document, _INTRINSIC_KEYS | _EXTRINSIC_KEYS)
+    return _read_camera(document)
 
 
-def _read_camera(document: Document, keys: Mapping[str, tuple[str, ...]]) -> CameraFile:
-    """Read one camera, its fields under one of these keys each. Raises FormatError."""
+def _read_camera(document: Document, **known: Any) -> CameraFile:
+    """Read one camera; the others are arguments of its `RawCamera`. Raises FormatError."""
     data = document.mapping()
-    found = pick(data, **keys)
+    found = camera_fields(data, document.source) | known
     if found["matrix"] is None or "M2" in data:
-        expected = f"one camera with its matrix under {', '.join(keys['matrix'])}"
+        expected = "one camera with its matrix under camera_matrix, K, M1 or the like"
         there = "a stereo pair (M1, M2)" if "M2" in data else describe_names(data)
         raise document.refuse(expected, there, "give one file per camera")
-    model = str(data.get("distortion_model", data.get("model", ""))).lower()
-    if model not in (*_FISHEYE_MODELS, *_PINHOLE_MODELS):
-        expected = "the distortion model plumb_bob, rational_polynomial or equidistant"
-        raise document.refuse(expected, model, "calibrate with one of them")
-    raw = RawCamera(
-        name=data.get("camera_name") or document.stem,
-        size=list(pick(data, **_SIZE_KEYS).values()),
-        fisheye=model in _FISHEYE_MODELS or data.get("fisheye") in (True, 1),
-        **found,
-    )
+    raw = RawCamera(name=data.get("camera_name") or document.stem, **found)
     return collect_cameras([raw], document.source, unit=data.get("unit", ""))
 
 
@@ -171,9 +161,8 @@ def read_easymocap(document: Document) -> CameraFile:
     raws = [
         RawCamera(
             name=name,
-            size=[fields.get(f"W_{name}"), fields.get(f"H_{name}")],
-            **pick(fields, matrix=f"K_{name}", distortion=(f"dist_{name}", f"D_{name}")),
-            **pick(places, rotation=(f"Rot_{name}", f"R_{name}"), translation=f"T_{name}"),
+            **camera_fields(fields, intrinsics.source, end=f"_{name}")
+            | pick(places, rotation=(f"Rot_{name}", f"R_{name}"), translation=f"T_{name}"),
         )
         for name in names
     ]
@@ -205,8 +194,7 @@ def write_easymocap(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
 def read_jarvis(document: Document) -> CameraFile:
     """Read the camera. Raises FormatError."""
     data = document.mapping("intrinsicMatrix")
-    keys = {"matrix": "intrinsicMatrix", "distortion": "distortionCoefficients"}
-    found = pick(data, **keys, rotation="R", translation="T")
+    found = camera_fields(data, document.source)
     raw = RawCamera(name=document.stem, by_columns=True, **found)
     return collect_cameras([raw], document.source, unit=data.get("unit", ""))
 
@@ -305,9 +293,7 @@ ROS = Format(
 OPENCV = Format(
     name="opencv",
     title="OpenCV YAML",
-    sniff=partial(
-        Document.has_line, pattern=r"\A\s*%YAML|!!opencv-matrix|^(camera_matrix|K|M1)\s*:"
-    ),
+    sniff=sniff_opencv,
     read=read_opencv,
     write=write_opencv,
     folder=True,
