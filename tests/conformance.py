@@ -18,7 +18,7 @@ class Keypoints(NamedTuple):
     format: where it is not the name of the entry. individuals: how many. named, scores, tracked,
     sized: whether files have names of keypoints, scores, identities and the image size. pixels:
     whether positions are pixels, not shares of the image. written: whether we write the format
-    too, and ordered: only where several individuals are followed.
+    too, and ordered: only where several individuals are followed. camera: its name.
     """
 
     format: str = ""
@@ -30,6 +30,7 @@ class Keypoints(NamedTuple):
     pixels: bool = True
     written: bool = False
     ordered: bool = False
+    camera: str = "cam"
 
     @property
     def options(self) -> dict[str, Any]:
@@ -49,6 +50,7 @@ KEYPOINTS = {
     "deeplabcut-csv": Keypoints(written=True, ordered=True),
     "deeplabcut-h5": Keypoints(written=True, ordered=True),
     "deeplabcut-h5-fixed": Keypoints("deeplabcut-h5"),
+    "dltdv": Keypoints(individuals=1, scores=False, camera="cam1"),
     "jarvis-2d": Keypoints("csv-wide", individuals=1),
     "label3d": Keypoints(individuals=1, named=False, scores=False),
     "mmpose": Keypoints(tracked=False),
@@ -130,12 +132,17 @@ POSES = {  # those that are written and read
     "movement-3d": Poses(".nc", known="errors"),
     "sleap-anipose": Poses(".h5"),
 }
+READ_ONLY = {  # camera formats whose file in the corpus is the rig of `mocap-calib`: its unit
+    **{"mc-calib": "", "metashape": "m", "multical": "", "opensfm": "", "qualisys": "mm"},
+    **{"dlt": "", "vicon": "mm"},  # which have no distortion, or have none in the corpus
+}
 # formats that are written; the first can hold what all others can
 TARGETS = {
     kind: (first, *sorted(set(written) - {first}))
     for kind, first, written in (
         ("keypoints", "csv", [name for name, each in KEYPOINTS.items() if each.written]),
-        ("cameras", "mocap-calib", CAMERAS),
+        # dlt comes back only where the origin lies before a camera: a test of its own
+        ("cameras", "mocap-calib", [*CAMERAS, "dlt"]),
         ("poses", "npz", [*POSES, "bvh", "blender"]),
     )
 }

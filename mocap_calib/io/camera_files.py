@@ -25,10 +25,18 @@ from mocap_calib.io.formats import (
     anipose,
     colmap,
     dannce,
+    dltdv,
     json_rigs,
+    mc_calib,
+    metashape,
+    multical,
+    opencap,
     opencv,
     openmvg,
+    opensfm,
     own_cameras,
+    qualisys,
+    vicon,
 )
 from mocap_calib.io.provenance import describe_judgement, read_description
 from mocap_calib.io.units import ARBITRARY, known_unit, refuse_unit, unit_factor
@@ -45,6 +53,12 @@ CAMERA_FORMATS = FormatTable(
         anipose.FREEMOCAP,
         anipose.POSE2SIM,
         anipose.ANIPOSE,
+        qualisys.FORMAT,
+        vicon.FORMAT,
+        metashape.FORMAT,
+        opencap.FORMAT,
+        dltdv.COEFFICIENTS,
+        mc_calib.FORMAT,
         opencv.JARVIS,
         opencv.EASYMOCAP,
         opencv.KALIBR,
@@ -52,18 +66,20 @@ CAMERA_FORMATS = FormatTable(
         opencv.OPENCV,
         colmap.BINARY,
         colmap.TEXT,
+        multical.FORMAT,
         json_rigs.PANOPTIC,
         json_rigs.VOXELPOSE,
         json_rigs.FOUR_D_ASSOCIATION,
         json_rigs.NERFSTUDIO,
         openmvg.FORMAT,
+        opensfm.FORMAT,
         json_rigs.MULTIVIEW_CALIB,
         dannce.CAMERAS,
     ),
 )
 
 # endings of files that may be one of several in a folder, and all that are looked at in a folder
-ONE_CAMERA_ENDINGS = (".yml", ".yaml", ".toml", ".json", ".mat")
+ONE_CAMERA_ENDINGS = (".yml", ".yaml", ".toml", ".json", ".mat", ".xcp", ".xml", ".pickle")
 FOLDER_ENDINGS = (*ONE_CAMERA_ENDINGS, ".txt", ".bin")  # the last two are COLMAP's
 
 
@@ -164,6 +180,7 @@ def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile
     if files and (shown := CAMERA_FORMATS.sniff(folder, format)):
         return load_document(replace(folder, format=shown), format, unit)
     single = [file for file in files if file.suffix.lower() in ONE_CAMERA_ENDINGS]
+    single = single or [file for file in files if CAMERA_FORMATS.sniff(Document(file), format)]
     if not single:
         expected = f"camera files ({', '.join(FOLDER_ENDINGS)}) in the folder"
         raise folder.refuse(expected, ", ".join(folder.names) or "none", "give the file itself")

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
+from xml.etree import ElementTree
 
 import msgspec
 
@@ -291,6 +292,17 @@ class Document:
         if self.json is None:
             raise self.refuse("JSON", self.describe()[0], "export it again, or remove it")
         return typed(self.json, kind, self.source)
+
+    @cached_property
+    def xml(self) -> ElementTree.Element | None:
+        """The root of the content as XML; None where it is none, or declares entities."""
+        start = self.start.removeprefix(codecs.BOM_UTF8).lstrip()
+        if self.is_folder or not start.startswith(b"<") or b"<!DOCTYPE" in self.content:
+            return None
+        try:
+            return ElementTree.fromstring(self.content)
+        except ElementTree.ParseError as error:
+            raise self.refuse("complete XML", f"an error ({error})", _DAMAGED) from None
 
     # --- HDF5
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from conformance import CAMERAS, CORPUS, KEYPOINTS, POSES, SIZE
+from conformance import CAMERAS, CORPUS, KEYPOINTS, POSES, READ_ONLY, SIZE
 from golden.command import call
 from platforms import linux
 
@@ -295,7 +295,7 @@ NOTHING += [b"MATLAB 5.0", b"\x89HDF\r\n\x1a\n", b"\x00" * 600, bytes(range(256)
 NOTHING += [b"PK\x03\x04", b"PathFileType\n", b"\x02\x50" + bytes(600)]
 NAMED = {
     "read_keypoints": {each.format or name for name, each in KEYPOINTS.items()},
-    "read_cameras": {*CAMERAS, "kalibr", "ros"},
+    "read_cameras": {*CAMERAS, *READ_ONLY, "kalibr", "opencap", "ros"},
     "read_poses": {*POSES, "nwb-3d", "bvh", "blender", "rerun"},
 }
 

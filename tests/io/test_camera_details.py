@@ -3,14 +3,19 @@
 Files that `convert` reads or refuses are in tests/golden/corpus.
 """
 
+import os
+import pickle
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pycolmap
 import pytest
+from conformance import CORPUS
 from golden.command import call
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -244,3 +249,76 @@ def test_a_number_beyond_floats_in_our_own_file_is_not_known(tmp_path):
         f"world: {{kind: floor, floor_sigma: {huge}}}\n{path.read_text('utf-8')}", "utf-8"
     )
     assert np.isnan(mc.read_rig(path).world.floor_sigma)
+
+
+# --- DLT coefficients, Vicon, OpenCap
+
+
+def flat_rig() -> mc.CameraRig:
+    rig = mc.read_rig(CORPUS / "cameras" / "mocap-calib")
+    cameras = [replace(camera, distortion=np.zeros(5)) for camera in rig.cameras]
+    return replace(rig, cameras=tuple(cameras))
+
+
+def test_dlt_coefficients_come_back_and_those_of_mirrored_images_are_refused(tmp_path):
+    """Where the origin lies behind one of the cameras, too."""
+    rig = flat_rig()
+    behind = replace(rig, translation=rig.translation * [[1, 1, -1], [1, 1, 1], [1, 1, 1]])
+    for each in (rig, behind):
+        lost = mc.write(each, tmp_path / "dlt.csv", "dlt")
+        assert [what.split()[-1] for what in lost] == ["length", "sizes"]
+        found = mc.read_rig(tmp_path / "dlt.csv")
+        np.testing.assert_allclose(found.rotation, each.rotation, atol=1e-9)
+        np.testing.assert_allclose(found.translation, each.translation, atol=1e-9)
+    height = 720.0
+    table = np.loadtxt(tmp_path / "dlt.csv", delimiter=",")
+    below = np.vstack([table[8:], np.ones((1, 3))])
+    table[4:8] = height * below - table[4:8]
+    np.savetxt(tmp_path / "up.csv", table[:, 1:], delimiter=",")
+    check(tmp_path / "up.csv", "expected coefficients of images whose v points down.*flip them")
+    tilted = replace(rig.cameras[0], distortion=np.array([0.1, 0, 0, 0, 0]))
+    with pytest.raises(mc.MismatchError, match="distortion"):
+        mc.write(replace(rig, cameras=(tilted, *rig.cameras[1:])), tmp_path / "x.csv", "dlt")
+
+
+def test_easywand_s_coefficients_are_read(tmp_path):
+    mc.write(flat_rig(), tmp_path / "dlt.csv", "dlt")
+    table = np.loadtxt(tmp_path / "dlt.csv", delimiter=",")
+    savemat(tmp_path / "easyWandData.mat", {"easyWandData": {"coefs": table}})
+    found = mc.read_rig(tmp_path / "easyWandData.mat")
+    np.testing.assert_allclose(found.rotation, flat_rig().rotation, atol=1e-9)
+
+
+def test_vicon_s_correction_of_measured_points_becomes_a_distortion(tmp_path):
+    """To 0.05 px: the inverse of a polynomial is none."""
+    text = (CORPUS / "cameras/vicon/session.xcp").read_text("utf-8")
+    first, second = 2e-8, -1e-15
+    text = text.replace(' 0 0 0" WORLD', f' {first} {second} 0" WORLD')
+    (tmp_path / "a.xcp").write_text(text)
+    camera = mc.read_rig(tmp_path / "a.xcp").cameras[0]
+    measured = np.array([[10.0, 10.0], [1270.0, 700.0], [300.0, 500.0]])
+    offset = measured - camera.matrix[:2, 2]
+    squared = (offset**2).sum(-1, keepdims=True)
+    corrected = offset * (1 + first * squared + second * squared**2) / camera.matrix[0, 0]
+    # one focal length: as far as the pixels are square
+    points = np.column_stack([corrected, np.ones(3)])
+    matrix = np.diag([camera.matrix[0, 0], camera.matrix[0, 0], 1.0])
+    matrix[:2, 2] = camera.matrix[:2, 2]
+    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, camera.distortion)
+    np.testing.assert_allclose(pixels[:, 0], measured, atol=0.05)
+
+
+def test_opencap_s_pickle_is_read_and_calls_nothing(tmp_path):
+    rig = mc.read_rig(CORPUS / "cameras" / "mocap-calib")
+    found = mc.read_rig(CORPUS / "cameras" / "opencap" / "cam1")
+    assert (found.names, found.unit, found.cameras[0].size) == (("cam1",), "mm", (1280, 720))
+    np.testing.assert_allclose(found.translation[0], rig.translation[0] * 1000, atol=1e-9)
+
+    class Call:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "made"),)
+
+    content = {"intrinsicMat": Call(), "distortion": 0, "imageSize": 0}
+    (tmp_path / "x.pickle").write_bytes(pickle.dumps(content))
+    check(tmp_path / "x.pickle", "a pickle that calls")
+    assert not (tmp_path / "made").exists()

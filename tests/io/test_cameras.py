@@ -15,7 +15,7 @@ import numpy as np
 import pycolmap
 import pytest
 import yaml
-from conformance import CAMERAS, Cameras
+from conformance import CAMERAS, CORPUS, READ_ONLY, Cameras
 from golden.command import call
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -74,6 +74,22 @@ def test_what_is_written_comes_back_or_is_refused_in_a_line(name, data, tmp_path
     assert not kept or "mocap-calib scale" in str(refused.value)
     assert kept or any(f"camera {each}" in str(refused.value) for each in rig.names)
     assert not path.exists()
+
+
+@pytest.mark.parametrize("name", READ_ONLY)
+def test_one_rig_is_equal_in_the_formats_that_are_only_read(name):
+    rig, unit = mc.read_rig(CORPUS / "cameras" / "mocap-calib"), READ_ONLY[name]
+    (path,) = (CORPUS / "cameras" / name).iterdir()
+    found = mc.read_rig(path)
+    assert found.unit == (unit or "arbitrary")
+    scale = 1000.0 if unit == "mm" else 1.0
+    np.testing.assert_allclose(found.rotation, rig.rotation, atol=1e-9)
+    np.testing.assert_allclose(found.translation, rig.translation * scale, atol=1e-6 * scale)
+    for camera, wanted in zip(found.cameras, rig.cameras, strict=True):
+        np.testing.assert_allclose(camera.matrix, wanted.matrix, atol=1e-6)
+        lens = np.zeros(5) if name in ("dlt", "vicon") else wanted.distortion
+        np.testing.assert_allclose(camera.distortion, lens, atol=1e-12)
+        assert camera.size == ((0, 0) if name == "dlt" else wanted.size)
 
 
 # --- other programs: camera matrix, distortion, rotation, translation of each camera

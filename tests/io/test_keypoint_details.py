@@ -160,6 +160,25 @@ TABLES = {  # with options, of HDF5, or too large to keep; others are in tests/g
         ],
         views=("top", "bot"),
     ),
+    "Argus counts y from the bottom": row(
+        "nose_cam_2_x,nose_cam_2_y\n10,20\n",
+        {"camera": "cam2", "positions": [10, 460], "image_size": SIZE},
+        image_size=SIZE,
+    ),
+    "Argus without a height": row("nose_cam_2_x,nose_cam_2_y\n10,20\n", "image_size="),
+    "DLTdv before 8": row(
+        "pt1_cam1_X,pt1_cam1_Y\n10,20\n", {"positions": [10, 20], "remarks": "it points up"}
+    ),
+    "JARVIS without names": row(
+        "x,y,confidence,x,y,confidence\n1,2,9,3,4,9\n",
+        {"keypoints": ("a", "b"), "positions": [[1, 2], [3, 4]]},
+        layout=("a", "b"),
+    ),
+    "videos by a pattern": row(
+        "frame_idx,node,x,y,video_path\n0,a,1,2,/d/1_left.mp4\n0,a,3,4,/d/1_right.mp4\n",
+        [{"camera": "left", "positions": [1, 2]}, {"camera": "right", "positions": [3, 4]}],
+        camera_pattern="left|right",
+    ),
     "a view that is none": row(OF_VIEWS, "views=", views=("top",)),
     "a quote without end": row(OF_VIEWS + '"' + "x," * 200_000, "expected"),
     "pixels with an image size": row(

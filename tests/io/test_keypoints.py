@@ -115,7 +115,7 @@ def test_one_recording_is_equal_in_all_formats(name):
     carries, paths = KEYPOINTS[name], sorted((CORPUS / "keypoints" / name).iterdir())
     form, options = carries.format or name, mc.ReadOptions(**carries.options)
     (found,) = mc.read_keypoints(paths, None, options)
-    assert (found.camera, found.tracked) == ("cam", carries.tracked)
+    assert (found.camera, found.tracked) == (carries.camera, carries.tracked)
     assert found.image_size == (SIZE if carries.sized else (0, 0))
     assert (NO_SCORE in found.remarks) != carries.scores
     order = [found.keypoints.index(joint) for joint in JOINTS]  # tables: as they appear

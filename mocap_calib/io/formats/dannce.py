@@ -56,7 +56,7 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 
     Keypoints are `point_1`, ... where the user does not name them. Raises FormatError.
     """
-    found = _read_mat(document, _VARIABLES)
+    found = read_mat(document, _VARIABLES)
     missing = sorted(set(_VARIABLES) - found.keys())
     if missing:
         absent, remedy = f"no {' and no '.join(missing)}", "give the file that Label3D saved"
@@ -140,7 +140,7 @@ def _load(document: Document) -> list[tuple[str, dict[str, Any]]]:
 
     Raises FormatError.
     """
-    found = _read_mat(document, ("params", "camnames", *_FIELDS))
+    found = read_mat(document, ("params", "camnames", *_FIELDS))
     if "params" not in found and found.keys() >= set(_FIELDS):
         name = re.fullmatch(_ONE_CAMERA_STEM, document.stem)
         return [(name["camera"] if name else document.stem, found)]
@@ -189,7 +189,7 @@ def write_cameras(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
 # --- variables of MATLAB files (up to version 7), read by scipy behind the crash guard
 
 
-def _read_mat(document: Document, wanted: tuple[str, ...]) -> dict[str, Any]:
+def read_mat(document: Document, wanted: tuple[str, ...]) -> dict[str, Any]:
     """Return the variables of these names.
 
     They are arrays, text, lists for cells, and lists of dictionaries for structs (both in MATLAB's

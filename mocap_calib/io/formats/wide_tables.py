@@ -78,8 +78,10 @@ def _columns(labels: Sequence[str], camera: str) -> Columns:
 
 
 def sniff(document: Document) -> bool:
-    """Return whether two keypoints have columns x and y, and none has z."""
+    """Return whether two keypoints have columns x and y, none has z, and there are no tracks."""
     header = document.header
+    if any(label.endswith("track") for label in header):  # of SLEAP
+        return False
     if len(header) > 2 and all(map(part_of, header)):
         return "z" not in map(part_of, header)
     columns = _columns(_header(document).labels, "") if len(header) > 3 else {}
