@@ -2,6 +2,11 @@
 
     .venv/bin/python benchmarks/certainty.py simulated      # whether 95 % regions hold the truth
     .venv/bin/python benchmarks/certainty.py recordings     # errors against their sigmas
+    .venv/bin/python benchmarks/certainty.py damaged        # what each cause of a verdict is for
+
+Damaged copies of the recordings (`DAMAGES`) show what each cause of a verdict is for: without it,
+or with another weight, verdicts break their promise or are timid. Recordings of even places in the
+list are those that weights may be fitted on, the others those that they are validated on.
 
 Each case goes through the whole pipeline, which sees keypoints and intrinsics alone. Errors are
 those after the best similarity. A result is a line of JSON in a file; cases that are in it are
@@ -10,7 +15,7 @@ skipped, so a stopped run continues. Exit status 1 where a figure is beyond its 
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,30 +27,38 @@ from recordings import NAMES
 from scipy.stats import chi2
 
 import mocap_calib as mc
-from mocap_calib.config import EPOCH_MARK
+from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG
+from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import nearest_rotation, rig_change
+from mocap_calib.results import VERDICTS, Cause, word_of_error
 from mocap_calib.types import CameraRig, Floats
+from mocap_calib.verdict.verdict import expected_error
 
 Line = dict[str, Any]
+Damage = Callable[[mc.Recording], mc.Recording]
 
+ONE = 1  # the view that is damaged
 SIMULATED = 200
 ANIMALS = ("quadruped", "rodent", "bird")
 ANIMAL_SHARE = 0.25  # of the scenes; the others show people
 NOISE_PX = (1.0, 2.0, 4.0)
 LENGTHS = (60, 120)  # frames
 INSIDE = (0.90, 0.99)  # share of cameras whose 95 % region holds the truth
-RIG_SIZES = {"3": (3, 3), "4": (4, 4), "5 and more": (5, np.inf)}
+RIG_SIZES = {"2": (2, 2), "3": (3, 3), "4": (4, 4), "5 and more": (5, np.inf)}
 CHI2_95 = float(chi2.ppf(0.95, 3))
 RATIO = (0.4, 2.5)  # of the RMS error to the RMS sigma
 RATIO_FREE = ("mvor_openpose",)  # its reference and keypoints disagree
 HEADER = ("recording", "verdict", "rotation (deg)", "sigma", "ratio")
 HEADER += ("centre (% of the rig)", "sigma", "ratio", "worst camera")
+WEIGHTS = (0.0, 0.7, 1.4)  # of a cause, beside the others
+PROMISE = 2.0  # limits of its verdict, by which no camera may be off
+TIMID_DEG = 1.0  # below which a rig should be usable
 
 
 def main() -> None:
     """Run what is missing, print the table, and exit with 1 where it is beyond a bound."""
     parser = make_parser(__doc__)
-    parser.add_argument("what", choices=["simulated", "recordings"])
+    parser.add_argument("what", choices=["simulated", "recordings", "damaged"])
     parser.add_argument("--cases", type=int, default=SIMULATED, help="simulated scenes")
     add_recordings(parser, needed=False)
     parser.add_argument("--results", type=Path, help="lines of JSON; default: out/certainty/")
@@ -57,8 +70,19 @@ def main() -> None:
         cases = {f"simulated-{k}": partial(simulate, k) for k in range(given.cases)}
     else:
         cases = {name: partial(read, Path(given.recordings) / name) for name in NAMES}
+    if given.what == "damaged":
+        cases = {
+            f"{name}/{word}": partial(damage, make, change)
+            for name, make in cases.items()
+            for word, change in DAMAGES.items()
+        }
     lines = list(run_all(cases, given.results or Path("out/certainty") / f"{given.what}.jsonl"))
-    sys.exit(0 if (table_of_regions if simulated else table_of_ratios)(lines) else 1)
+    tables = {
+        "simulated": table_of_regions,
+        "recordings": table_of_ratios,
+        "damaged": table_of_causes,
+    }
+    sys.exit(0 if tables[given.what](lines) else 1)
 
 
 def run_all(cases: dict[str, Any], results: Path) -> Iterator[Line]:
@@ -87,7 +111,7 @@ def simulate(number: int) -> tuple[mc.Recording, CameraRig]:
     kind = str(rng.choice(ANIMALS)) if rng.random() < ANIMAL_SHARE else ""
     scene = mc.simulate(
         mc.SimulateConfig(
-            cameras=int(rng.integers(3, 8, endpoint=True)),
+            cameras=int(rng.integers(2, 8, endpoint=True)),
             people=0 if kind else count,
             animals=((kind, count),) if kind else (),
             noise_px=float(rng.choice(NOISE_PX)),
@@ -102,6 +126,81 @@ def read(folder: Path) -> tuple[mc.Recording, CameraRig]:
     """Return a recording with its intrinsics, and its reference calibration."""
     recording = mc.read_recording(folder / "keypoints", folder / "intrinsics.toml")
     return recording, mc.read_rig(folder / "reference.toml")
+
+
+# --- damaged copies
+
+
+def damage(make: Callable[[], tuple[mc.Recording, CameraRig]], change: Damage) -> Any:
+    """Return a damaged copy of a recording, and its reference calibration."""
+    recording, truth = make()
+    return change(recording), truth
+
+
+def at_pixels(change: Callable[[Floats], Floats], views: slice = slice(ONE, ONE + 1)) -> Damage:
+    """Return a damage of the positions `[view, frame, instance, keypoint, 2]` of some views."""
+
+    def apply(recording: mc.Recording) -> mc.Recording:
+        """Return the damaged recording."""
+        positions = recording.positions.copy()
+        positions[views] = change(positions[views])
+        return replace(recording, positions=positions)
+
+    return apply
+
+
+def with_camera(change: Callable[[mc.Camera], mc.Camera]) -> Damage:
+    """Return a damage of the intrinsics of one view."""
+
+    def apply(recording: mc.Recording) -> mc.Recording:
+        """Return the damaged recording."""
+        cameras = list(recording.cameras)
+        cameras[ONE] = change(cameras[ONE])
+        return replace(recording, cameras=tuple(cameras))
+
+    return apply
+
+
+def off_centre(camera: mc.Camera) -> mc.Camera:
+    """Return a camera whose principal point is off by 5 % of the image."""
+    matrix = camera.matrix.copy()
+    matrix[0, 2] += 0.05 * max(camera.size)
+    return replace(camera, matrix=matrix)
+
+
+def late(recording: mc.Recording) -> mc.Recording:
+    """Return a recording of which one view shows what was ten frames before."""
+    every = np.arange(len(recording.frames))
+    source = np.tile(every, (len(recording.cameras), 1))
+    source[ONE] = np.where(every >= 10, every - 10, -1)
+    return recording.show(source, recording.frames)
+
+
+def sparse(recording: mc.Recording) -> mc.Recording:
+    """Return a recording without 60 % of the detections."""
+    gone = np.random.default_rng(0).random(recording.positions.shape[:3]) < 0.6
+    positions = np.where(gone[..., None, None], np.nan, recording.positions)
+    return replace(recording, positions=positions)
+
+
+ALL = slice(None)
+DAMAGES: dict[str, Damage] = {
+    "sound": lambda recording: recording,
+    "two cameras": lambda recording: recording.select(views=np.arange(2)),
+    "two, one at half size": lambda recording: at_pixels(lambda pixels: pixels / 2)(
+        recording.select(views=np.arange(2))
+    ),
+    "20 frames": lambda recording: recording.select(frames=np.arange(20)),
+    "sparse": sparse,
+    "late": late,
+    "half size": at_pixels(lambda pixels: pixels / 2),
+    "half size, all": at_pixels(lambda pixels: pixels / 2, ALL),
+    "squeezed, all": at_pixels(lambda pixels: pixels * [0.75, 1.0], ALL),
+    "focal length": with_camera(lambda camera: change_intrinsics(camera, log_focal=0.2, k1=0.0)),
+    "principal point": with_camera(off_centre),
+    "sides": lambda recording: mc.Sides(recording.names[ONE]).apply(recording),
+    "mirrored": lambda recording: mc.Mirrored(recording.names[ONE]).apply(recording),
+}
 
 
 # --- errors and sigmas of one group
@@ -121,6 +220,7 @@ def judge_group(group: mc.GroupResult, truth: CameraRig) -> Line:
     return {
         "cameras": list(group.rig.names),
         "verdict": group.verdict,
+        "causes": [[each.name, each.camera, each.error_deg] for each in group.assessment.causes],
         "rotation_sigma": np.degrees(covariance.rotation_sigma).tolist(),
         "centre_sigma": (100 * covariance.centre_sigma).tolist(),
         "rotation": np.degrees(np.linalg.norm(error[:, turn], axis=1)).tolist(),
@@ -190,6 +290,41 @@ def table_of_ratios(lines: Sequence[Line]) -> bool:
         good = good and (within or line["case"] in RATIO_FREE)
         print_row([*cells, f"{worst:.2f}{'' if within else ' **beyond**'}"])
     return good
+
+
+def table_of_causes(lines: Sequence[Line]) -> bool:
+    """Print how many verdicts break their promise, and are timid, by the weight of each cause."""
+    halves = [[], []]
+    for line in lines:
+        halves[NAMES.index(line["case"].partition("/")[0]) % 2] += line["groups"][:1]
+    names = sorted({name for half in halves for group in half for name, *_ in group["causes"]})
+    columns = ("cause", "weight", "fitted: broken", "timid", "validated: broken", "timid")
+    print_header(columns)
+    sound = [count(half, "", 1.0) for half in halves]
+    print_row(["all", 1.0, *sound[0], *sound[1]])
+    for name in names:
+        for weight in WEIGHTS:
+            counts = [count(half, name, weight) for half in halves]
+            if counts != sound:
+                print_row([name, weight, *counts[0], *counts[1]])
+    print(f"\n{len(lines)} copies; causes and weights that change nothing are left out")
+    return sound[0][0] == sound[1][0] == 0
+
+
+def count(groups: Sequence[Line], cause: str, weight: float) -> tuple[int, int]:
+    """Return how many verdicts break their promise, and are timid, by the weight of a cause."""
+    broken = timid = 0
+    for group in groups:
+        causes = [
+            Cause(name, camera, error * (weight if name == cause else 1.0), "", "")
+            for name, camera, error in group["causes"]
+        ]
+        word = word_of_error(expected_error(group["cameras"], causes))
+        worst, place = max(group["rotation"]), VERDICTS.index(word)
+        limits = (*VERDICT_LIMITS_DEG, np.inf)
+        broken += worst > PROMISE * limits[place]
+        timid += worst < TIMID_DEG and place >= 2
+    return int(broken), int(timid)
 
 
 if __name__ == "__main__":

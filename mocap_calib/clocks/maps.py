@@ -194,6 +194,8 @@ def _improve(agreements: Agreements, timing: Timing, change: Change) -> Timing:
     change: returns a timing with another map of a camera, and its agreement `[stretch, frame]`.
     """
     left = [view for view in range(agreements.views) if agreements.partners(view)]
+    if agreements.views == 2 and change is _with_other_rate:
+        left = left[1:]  # either may be slow: the clock is that of the first one
     while left:
         gains = []
         for view in left:

@@ -295,19 +295,22 @@ def test_cameras_that_nothing_compares_do_not_vouch_for_each_other():
 
 
 @pytest.mark.parametrize("rate", [0.97, 1.04])
-def test_a_clock_that_drifts_is_another_rate_of_one_camera(rate):
+@pytest.mark.parametrize("views", [2, 3])
+def test_a_clock_that_drifts_is_another_rate_of_the_last_camera(rate, views):
     """Two stretches, 300 frames apart; cameras agree where they show the same time."""
     start, time = np.array([0, 300]), np.arange(100)
     own = np.round(rate * (start[:, None] + time)).astype(int) - start[:, None] + 3
     agree = np.broadcast_to(np.eye(100, dtype=np.float32), (2, 100, 100))
     drifts = (own[..., None] == time).astype(np.float32)  # [stretch, frame, own frame]
-    measured = {(0, 1): agree, (0, 2): drifts, (1, 2): drifts}
-    agreements = Agreements(views=3, measured=measured, window=30)
+    pairs = combinations(range(views), 2)
+    measured = {(a, b): agree if b < views - 1 else drifts for a, b in pairs}
+    agreements = Agreements(views=views, measured=measured, window=30)
     timing = find_timing(agreements, start)
     numbers = start[:, None] + time
-    clocks = describe_clocks(("a", "b", "c"), numbers, agreements, timing)
-    assert [clock.kind for clock in clocks] == ["in step", "in step", "rate"]
-    found = own_frames(clocks[2], numbers.ravel())
+    clocks = describe_clocks("abc"[:views], numbers, agreements, timing)
+    assert [clock.kind for clock in clocks[:-1]] == ["in step"] * (views - 1)
+    assert clocks[-1].kind == "rate"
+    found = own_frames(clocks[-1], numbers.ravel())
     shown = found != NO_FRAME  # of two frames of the clock, one shows what a slower camera saw
     assert shown.mean() > 0.96
     assert np.abs(found - np.round(rate * numbers.ravel()) - 3)[shown].max() <= 1
