@@ -82,6 +82,8 @@ def read_recording(  # noqa: PLR0913 - each says one thing that files may leave 
     model: whose joints the names are compared with; "auto": the shipped model that knows most of
         them. `calibrate` uses the same unless it is told another.
     mends: what is known to be wrong with the files: `Mirrored("cam2")`, `Rotated("cam1", 90)`, ...
+        Intrinsics for images of another size than the files have are corrected; `corrected` of the
+        recording says how.
 
     Raises FormatError for whatever is wrong with a file, and MismatchError where keypoints and
     cameras do not go together.
@@ -346,12 +348,12 @@ def from_keypoints(
 
     Raises MismatchError where they do not belong together.
     """
+    from mocap_calib.recording.image_sizes import join_sized
     from mocap_calib.recording.joints import fit_vocabulary
-    from mocap_calib.recording.synchronise import make_recording
 
     names = (name for view in views for name in view.keypoints)
     skeleton, aliases = fit_vocabulary(names, aliases_file=None)
-    return make_recording(views, intrinsics_of(cameras), skeleton, aliases)
+    return join_sized(views, intrinsics_of(cameras), skeleton, aliases)
 
 
 def to_xarray(

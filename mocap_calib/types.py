@@ -20,6 +20,7 @@ from mocap_calib.errors import count, one_line
 
 if TYPE_CHECKING:
     from mocap_calib import front
+    from mocap_calib.results import Fault
 
 POSE = 6  # numbers of a change of pose: a turn and a shift
 
@@ -640,6 +641,7 @@ class Recording(Record):
     tracked: `[view]` the instance index names the same individual in all frames.
     vocabulary: `[keypoint]` index of each keypoint in the model's skeleton, -1 = not in it.
     model: the name of a shipped model, a file of weights, or "none".
+    corrected: how the intrinsics of cameras were corrected, by the sizes of their images.
     """
 
     cameras: tuple[Camera, ...]
@@ -650,6 +652,7 @@ class Recording(Record):
     tracked: Bools
     vocabulary: Ints
     model: str = field(default="people", kw_only=True)
+    corrected: tuple["Fault", ...] = field(default=(), kw_only=True)
     # the arrays whose first axes are view and frame
     _by_view_and_frame: ClassVar[tuple[str, ...]] = ("positions", "confidence")
 

@@ -121,7 +121,6 @@ BOTH = (camera("a"), camera("b"))
     ("first", "second", "cameras"),
     [
         ({}, {}, (camera("a"), camera("c"))),  # none of its cameras
-        ({}, {}, (camera("a"), camera("b", (480, 640)))),  # of another size
         ({"names": NAMES[:4]}, {"names": NAMES[1:]}, ()),  # three joints in common
         (STRANGERS, STRANGERS, BOTH),  # a crowd that no model knows
     ],

@@ -35,6 +35,7 @@ def describe_recording(summary: RecordingSummary) -> list[str]:
     return [
         *summary.camera_notes,
         *format_table(["camera", "keypoints", "frames", "detections"], rows),
+        *summary.corrected,
         *summary.filled_in,
         *keep_lines(cases),
         *describe_ignored_files(summary.ignored_files),

@@ -29,6 +29,8 @@ from mocap_calib.config import (
     WorldConfig,
 )
 from mocap_calib.errors import MismatchError, argument
+from mocap_calib.faults.hypotheses import describe_corrected
+from mocap_calib.faults.image_sizes import turn_rig
 from mocap_calib.io.camera_files import load_cameras, make_rig
 from mocap_calib.io.camera_files import read_rig as read_rig_of
 from mocap_calib.io.cameras import CameraFile
@@ -81,7 +83,8 @@ def read_options(typed: Typed) -> ReadOptions:
 def keypoint_source(typed: Typed) -> KeypointSource:
     """Return which keypoints are read, and how.
 
-    Images are turned before they are resized, and a camera that moved is split in the end.
+    Images are turned before they are resized, intrinsics are corrected before detections, and a
+    camera that moved is split in the end.
     """
     return KeypointSource(
         paths=typed.keypoints,
@@ -216,17 +219,12 @@ def world_config(typed: Typed) -> WorldConfig:
     return replace(config, axes=WorldConfig.axes, cameras=cameras, unit=rig.unit)
 
 
-def read_recording(
-    typed: Typed, cameras: CameraFile, reporter: Reporter, *, of_rig: bool = False
-) -> LoadedRecording:
+def read_recording(typed: Typed, cameras: CameraFile, reporter: Reporter) -> LoadedRecording:
     """Read the keypoints of the cameras, and say which file went to which camera.
-
-    of_rig: the cameras are those of a rig, which may have left some out; the keypoints of those
-        are left out too.
 
     Raises FormatError and MismatchError.
     """
-    loaded = load_recording(keypoint_source(typed), cameras, only_known_cameras=of_rig)
+    loaded = load_recording(keypoint_source(typed), cameras)
     reporter.say(*describe_recording(loaded.summary))
     return loaded
 
@@ -260,11 +258,16 @@ def read_recording_of(
 ) -> tuple[CameraRig, LoadedRecording]:
     """Read the keypoints of a rig, on one clock, in all frames.
 
+    Its cameras are those of the images; keypoints of cameras that it left out are left out, too.
+
     camera_file: all that the file of the rig says.
     """
-    loaded = read_recording(typed, camera_file, reporter, of_rig=True)
-    recording = loaded.recording
-    rig = replace(rig.select(recording.names), cameras=recording.cameras)
+    source = keypoint_source(typed)
+    loaded = load_recording(source, camera_file, only_known_cameras=True)
+    rig = rig.select(loaded.recording.names)
+    rig, recording = turn_rig(rig, loaded.recording, source.mends)
+    corrected = describe_corrected(recording, decided=True)
+    reporter.say(*describe_recording(replace(loaded.summary, corrected=corrected)))
     clocks = clocks_from(recording, rig.clocks)
     return rig, replace(loaded, recording=retime(recording, clocks), clocks=clocks)
 

@@ -202,6 +202,24 @@ def option_of(mend: Mend | CameraClock) -> str:
     return option
 
 
+def describe_corrected(recording: Recording, *, decided: bool = False) -> tuple[str, ...]:
+    """Return a line for each camera whose intrinsics were corrected by the sizes of its images.
+
+    decided: the direction of quarter turns, which sizes do not show, is known.
+    """
+    options: dict[str, list[str]] = {}
+    for fault in recording.corrected:
+        option = option_of(cast(Mend, fault.mend))
+        if isinstance(fault.mend, Rotated) and not decided:
+            option += f" or {fault.camera}:{360 - fault.mend.degrees}"
+        if isinstance(fault.mend, Cropped):
+            option += ", the middle"
+        options.setdefault(f"{fault.camera}: {fault.says}", []).append(option)
+    return tuple(
+        f"{says}; intrinsics corrected, as by {' '.join(each)}" for says, each in options.items()
+    )
+
+
 def describe_faults(faults: Sequence[Fault]) -> dict[str, Any]:
     """Return the faults of a camera by word; further ones of a word under `further`."""
     described: dict[str, Any] = {}

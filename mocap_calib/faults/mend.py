@@ -16,6 +16,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.all_cameras import find_upward_axes
 from mocap_calib.faults.compare import Alternative, find_faulty_cameras
 from mocap_calib.faults.hypotheses import clock_faults, describe
+from mocap_calib.faults.image_sizes import alternative_images, combine_corrections
 from mocap_calib.faults.leave_one_out import hold_each
 from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.recording.corrections import Exchanged, Sides, apply_mends
@@ -49,6 +50,7 @@ def mend_faults(
     recording: as it was handed in. calibrated: what was found of it. calibrate: finds the same of
         a recording that was corrected.
     """
+    recording, calibrated = _choose_images(recording, calibrated, calibrate)
     known: tuple[Fault, ...] = ()
     rivals: set[str] = set()
     given, before = calibrated[1], (known, calibrated)
@@ -78,8 +80,24 @@ def mend_faults(
             known += tuple(replace(fault, mend=None) for fault in new)
             break
         known, calibrated = (*known, *new), recalibrated
-    result = replace(calibrated[1], faults=known)
-    return given if judge(result).groups[0].verdict == VERDICTS[-1] else result
+    result = replace(calibrated[1], faults=combine_corrections(recording.corrected, known))
+    if judge(result).groups[0].verdict == VERDICTS[-1]:
+        return replace(given, faults=recording.corrected)
+    return result
+
+
+def _choose_images(
+    recording: Recording, calibrated: Calibrated, calibrate: Calibrate
+) -> tuple[Recording, Calibrated]:
+    """Return the recording, and what is found of it, with the images that explain most."""
+    for over in alternative_images(recording, calibrated):
+        try:
+            other = calibrate(over)
+        except DegenerateError:
+            continue
+        if _gain_of_all(recording, _errors_of([calibrated, other])) > 0:
+            recording, calibrated = over, other
+    return recording, calibrated
 
 
 def find_alternatives(

@@ -1,8 +1,10 @@
 """What stands in the way of a run, each with its remedy."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,8 +17,10 @@ from mocap_calib.errors import (
     spell_arguments,
     spell_as_option,
 )
-from mocap_calib.inspection.contents import InspectConfig, seen_points
+from mocap_calib.faults.hypotheses import describe_corrected
+from mocap_calib.inspection.contents import InspectConfig, fill_image_sizes, seen_points
 from mocap_calib.inspection.view_pairs import compare_views
+from mocap_calib.recording.image_sizes import join_sized
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.recording.names import (
     check_pixels,
@@ -35,9 +39,9 @@ from mocap_calib.recording.synchronise import (
     find_copies,
     find_repeated,
     largest_confidence,
-    make_recording,
 )
-from mocap_calib.types import Camera, Keypoints2D, Skeleton
+from mocap_calib.results import Mend
+from mocap_calib.types import Camera, Keypoints2D, Recording, Skeleton
 
 _LISTED = 6  # names in one message
 _Views = Sequence[Keypoints2D]
@@ -74,12 +78,15 @@ def find_problems(
     skeleton: Skeleton,
     aliases: Mapping[str, str],
     config: InspectConfig,
+    mends: Sequence[Mend] = (),
+    cropped: AbstractSet[str] = frozenset(),
 ) -> tuple[Finding, ...]:
     """Return what stands in the way of a run, the critical first.
 
     report: what `inspect_views` says of the views.
     cameras: may be none; then what needs them is not looked at.
     aliases: own name -> joint of the skeleton.
+    mends, cropped: what is stated of the images, see `join_sized`.
     """
     usable = [view for view in views if seen_points(view).any()]
     names = {view.camera for view in usable}
@@ -88,6 +95,7 @@ def find_problems(
     found = [
         *_find_missing_views(views, usable),
         *_find_other_scales(usable, config),
+        *(each for view in fill_image_sizes(usable, cameras) for each in _find_corner(view)),
         *_find_clock_problems(usable, pairs, config),
         *_find_still_subjects(usable, report["cameras"], config),
         *_find_poor_views(usable, pairs, meanings, config),
@@ -99,7 +107,8 @@ def find_problems(
         *(finding for view in usable for finding in _find_weaknesses(view, config)),
     ]
     if cameras and not any(finding.critical for finding in found):
-        found += _find_camera_problems(views, cameras, skeleton, aliases)
+        join = partial(join_sized, mends=mends, cropped=cropped)
+        found += _find_camera_problems(views, cameras, skeleton, aliases, join)
     return tuple(sorted(found, key=lambda finding: not finding.critical))
 
 
@@ -289,6 +298,23 @@ def _find_other_scales(usable: _Views, config: InspectConfig) -> Iterator[Findin
             )
 
 
+def _find_corner(view: Keypoints2D) -> Iterator[Finding]:
+    """Say where nearly all points lie in one quarter of the image, as those of a smaller one do."""
+    middle = np.array(view.image_size) / 2
+    points = view.positions[seen_points(view)]
+    low, high = np.percentile(points, [100 - TYPICAL_PERCENTILE, TYPICAL_PERCENTILE], axis=0)
+    before, after = high < middle, low > middle
+    if (before | after).all() and middle.all():
+        corner = f"{'upper' if before[1] else 'lower'} {'left' if before[0] else 'right'}"
+        factor = argument("resized", f"{view.camera}:FACTOR")
+        offset = argument("crop_offset", f"{view.camera}:X,Y")
+        yield _warning(
+            f"{view.camera}: the keypoints lie in the {corner} quarter of its image of "
+            f"{view.image_size[0]} x {view.image_size[1]}; check its size, or say "
+            f"{factor if before.all() else offset} if they are from other images"
+        )
+
+
 def _find_weaknesses(view: Keypoints2D, config: InspectConfig) -> Iterator[Finding]:
     """Yield what makes the detections of a view worth less."""
     scores = view.confidence[seen_points(view)]
@@ -367,16 +393,21 @@ def _find_name_problems(
 
 
 def _find_camera_problems(
-    views: _Views, cameras: Sequence[Camera], skeleton: Skeleton, aliases: Mapping[str, str]
+    views: _Views,
+    cameras: Sequence[Camera],
+    skeleton: Skeleton,
+    aliases: Mapping[str, str],
+    join: Callable[..., Recording],
 ) -> Iterator[Finding]:
-    """Say what a run would say of the keypoints and the cameras together."""
+    """Say what a run would say of the keypoints and the cameras together. join: as `join_sized`."""
     try:
-        recording = make_recording(views, cameras, skeleton, aliases)
+        recording = join(views, cameras, skeleton, aliases)
         sample_frames = choose_sample_frames(recording, SampleConfig())
         check_joints(recording.select(frames=sample_frames))
     except MismatchError as error:
         yield _critical(error.render(spell_as_option))
         return
+    yield from map(_warning, describe_corrected(recording))
     matched = match_cameras(views, cameras)
     if idle := [camera.name for camera in cameras if camera.name not in matched]:
         yield _warning(

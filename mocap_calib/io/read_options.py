@@ -24,7 +24,8 @@ class ReadOptions:
     camera_pattern: regular expression that finds the camera's name in a path (its group `camera`,
         or its first group, or all of it), and perhaps the frame number (group `frame`).
     frame_offset: camera -> added to its frame numbers.
-    crop_offset: camera -> (x, y) in pixels added to its positions.
+    crop_offset: camera -> (x, y) in pixels added to its positions; the size of the whole image is
+        then `image_size`, whatever the file has.
     views: suffixes of keypoint names that stand for views (`paw_top`, `paw_bot`), each of which
         becomes a camera.
     single_precision: keep float32, a ten-thousandth of a pixel, of each file: long recordings need
@@ -39,6 +40,11 @@ class ReadOptions:
     views: tuple[str, ...] = ()
     single_precision: bool = False
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+
+    @property
+    def cropped(self) -> frozenset[str]:
+        """Names of the cameras whose keypoints were found in a part of the image."""
+        return frozenset(map(compose_name, self.crop_offset))
 
     def size_of(self, camera: str) -> tuple[int, int]:
         """Return the size of the images of a camera, (0, 0) where the user does not say."""
@@ -109,11 +115,17 @@ def apply_offsets(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[K
                 raise MismatchError("", expected, f"one of {camera}", "change its name")
     frame_offset = {compose_name(camera): n for camera, n in options.frame_offset.items()}
     crop_offset = {compose_name(camera): xy for camera, xy in options.crop_offset.items()}
+    whole = (
+        replace(view, image_size=options.size_of(view.camera))
+        if view.camera in crop_offset
+        else view
+        for view in views
+    )
     return tuple(
         _apply_offset(
             view, frame_offset.get(view.camera, 0), crop_offset.get(view.camera, (0.0, 0.0))
         )
-        for view in views
+        for view in whole
     )
 
 

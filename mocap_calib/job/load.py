@@ -8,12 +8,13 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import LEAST_JOINTS
+from mocap_calib.faults.hypotheses import describe_corrected
 from mocap_calib.io.cameras import CameraFile
 from mocap_calib.io.filled_table import describe_filled
 from mocap_calib.io.keypoints import find_superseded_files, read_keypoints
 from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.lift.lifter import load_vocabulary
-from mocap_calib.recording.corrections import apply_mends
+from mocap_calib.recording.image_sizes import join_sized
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.names import (
     ASSUMED_NOTE,
@@ -24,7 +25,6 @@ from mocap_calib.recording.names import (
     views_named,
     views_with_detections,
 )
-from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import Clocks, Mend
 from mocap_calib.types import Keypoints2D, Recording, Skeleton
 
@@ -55,6 +55,7 @@ class RecordingSummary:
     ignored_files: keypoint files beside which another file of the same name was read.
     filled_in: a line for each camera with keypoints that were completed, not measured.
     unknown_cameras: names of keypoint files that no camera of the rig belongs to.
+    corrected: a line for each camera whose intrinsics are for images of another size.
     """
 
     cameras: tuple[CameraSummary, ...]
@@ -70,6 +71,7 @@ class RecordingSummary:
     ignored_files: tuple[str, ...]
     filled_in: tuple[str, ...]
     unknown_cameras: tuple[str, ...]
+    corrected: tuple[str, ...]
 
     @property
     def known(self) -> int:
@@ -148,7 +150,8 @@ def load_recording(
     unknown = tuple(view.camera for view in views if known and view not in known)
     views = known or views
     skeleton, aliases = _choose_vocabulary(source, views)
-    recording = apply_mends(make_recording(views, cameras, skeleton, aliases), source.mends)
+    cropped = source.options.cropped
+    recording = join_sized(views, cameras, skeleton, aliases, mends=source.mends, cropped=cropped)
     recording = replace(recording, model=source.model or skeleton.name)
     used = views_with_detections(views)
     found = {
@@ -171,6 +174,7 @@ def load_recording(
         ignored_files=find_ignored_files(source.paths),
         filled_in=describe_filled(views),
         unknown_cameras=unknown,
+        corrected=describe_corrected(recording),
     )
     return LoadedRecording(recording, summary)
 

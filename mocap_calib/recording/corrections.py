@@ -205,9 +205,11 @@ class Cropped:
         camera = recording.cameras[find_view(recording, self.camera)]
         matrix = camera.matrix.copy()
         matrix[:2, 2] -= (self.x, self.y)
-        sigma = float(
-            np.hypot(centre_sigma(camera, UncertaintyConfig()), self.sigma)
-        )  # as of the whole image
+        known = centre_sigma(camera, UncertaintyConfig())  # as of the whole image
+        for fault in recording.corrected:  # a corner that was guessed is replaced by an estimate
+            if isinstance(fault.mend, Cropped) and fault.camera == self.camera:
+                known = float(np.sqrt(max(known**2 - fault.mend.sigma**2, 0.0)))
+        sigma = float(np.hypot(known, self.sigma))
         return _with_camera(recording, replace(camera, matrix=matrix, centre_sigma=sigma))
 
 

@@ -17,7 +17,6 @@ from mocap_calib.config import (
     DEFAULT_FOCAL,
     LARGEST_SHARE,
     REFINEMENTS,
-    TYPICAL_PERCENTILE,
     IntrinsicsConfig,
     Refinement,
 )
@@ -35,8 +34,7 @@ def pair_with_cameras(
 
     Cameras without an image size take that of their file.
 
-    Raises MismatchError as `match_cameras` does, for fewer than two cameras with detections, and
-    where a camera and its file have other image sizes.
+    Raises MismatchError as `match_cameras` does, and for fewer than two cameras with detections.
     """
     view_of = dict(zip(match_cameras(views, cameras), views, strict=True))
     pairs = [
@@ -157,34 +155,10 @@ def _has_detections(view: Keypoints2D) -> bool:
 def _take_image_size(view: Keypoints2D, camera: Camera) -> Camera:
     """Return the camera, with the image size of its keypoint file if it has none.
 
-    Raises MismatchError where the sizes differ, or where the positions are not in pixels.
+    Raises MismatchError where the positions are not in pixels.
     """
     check_pixels(view)
-    if camera.size == _UNKNOWN_SIZE:
-        return replace(camera, size=view.image_size)
-    found = ""
-    if view.image_size == _UNKNOWN_SIZE:
-        some = mapped.some_frames(view.positions)
-        x, y = (np.nanpercentile(some[..., axis], TYPICAL_PERCENTILE) for axis in range(2))
-        width, height = camera.size
-        if x > LARGEST_SHARE * width or y > LARGEST_SHARE * height:
-            found = f"detections at ({x:.0f}, {y:.0f})"
-    elif view.image_size != camera.size:
-        found = _size_text(view.image_size)
-    mapped.let_go()
-    if found:
-        raise MismatchError(
-            view.source,
-            f"an image of {_size_text(camera.size)} as camera {camera.name} has",
-            found,
-            "scale the intrinsics to the images of the keypoints",
-        )
-    return camera
-
-
-def _size_text(size: tuple[int, int]) -> str:
-    """Return `WIDTH x HEIGHT`."""
-    return f"{size[0]} x {size[1]}"
+    return replace(camera, size=view.image_size) if camera.size == _UNKNOWN_SIZE else camera
 
 
 def _names_alike(name: str, known: Sequence[str]) -> list[str]:

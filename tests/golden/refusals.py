@@ -52,10 +52,14 @@ REFUSALS: dict[str, tuple[str, ...]] = {
         *("run", "left=scene/keypoints/cam1.json", "scene/keypoints/cam2.json"),
         *("--cameras", "scene/intrinsics.toml", "-o", "new"),
     ),
-    "images of another size": (
+    "images of another size than is stated": (
         *("run", "half", "--cameras", "scene/intrinsics.toml", "-o", "new"),
+        *("--resized", "cam1:0.25"),
     ),
-    "images turned": ("run", "turned", "--cameras", "scene/intrinsics.toml", "-o", "new"),
+    "images turned another way than is stated": (
+        *("run", "turned", "--cameras", "scene/intrinsics.toml", "-o", "new"),
+        *("--rotated", "cam1:180"),
+    ),
     "sizes that nobody states": ("run", "sizeless", "-o", "new"),
     "a length of no joint": (*RUN, "--length", "nose-tail=0.4"),
     "millimetres without a scale": (*RUN, "--write", "trc", "--fps", "30"),

@@ -128,11 +128,17 @@ FINDINGS = {
         partial(write_coco, cameras="ab"),
         0,
         ("outside its image",),
-        ("--crop-offset", "b:500,20.5"),
+        ("--crop-offset", "b:500,20.5", "--image-size", "b:640x480"),
+    ),
+    "keypoints in a corner": Finding(
+        partial(write_coco, cameras="ab"),
+        0,
+        ("a: the keypoints lie in the lower right quarter", "--crop-offset a:X,Y"),
+        ("--crop-offset", "a:700,500", "--image-size", "a:1280x960"),
     ),
     "images of another size": Finding(
         partial(with_intrinsics, cameras="ab", size=(480, 640)),
-        *(1, ("640 x 480", "480 x 640"), GIVEN),
+        *(0, ("images of 640 x 480, intrinsics for 480 x 640", "--rotated a:90"), GIVEN),
     ),
     "a camera without keypoints": Finding(
         partial(with_intrinsics, cameras="abc"), 0, ("c: no keypoints",), GIVEN

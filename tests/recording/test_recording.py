@@ -38,6 +38,7 @@ from mocap_calib.recording.epochs import (
     rig_of_epoch,
     views_by_camera,
 )
+from mocap_calib.recording.image_sizes import join_sized
 from mocap_calib.recording.joints import edges_of_keypoints, match_names
 from mocap_calib.recording.names import assume_cameras, match_cameras, views_with_detections
 from mocap_calib.recording.sampling import (
@@ -281,8 +282,6 @@ def never_at_once() -> list[Keypoints2D]:
         ([view("a", (0, 1)), view("b", (100, 104))], None, ["a 0-1", "b 100-104"]),
         (never_at_once(), None, []),
         ([view("a", keypoints=("x",)), view("b", keypoints=("u",))], None, ["x", "u"]),
-        ([view("a", size=(1280, 960)), view("b")], None, ["1280 x 960", "640 x 480"]),
-        ([at("a", 3), at("b")], None, ["640 x 480"]),
         ([at("a", 1 / 640), at("b")], None, ["pixels"]),
     ],
 )
@@ -294,10 +293,86 @@ def test_what_does_not_belong_together_is_refused_in_a_line_that_names_it(views,
     assert all(each in message for each in named)
 
 
-def test_a_single_wild_point_is_not_refused():
+# sizes of images beside those of intrinsics, 640 x 480
+
+
+def sized(size, *mends, factor=1.0, **said) -> mc.Recording:
+    """Return the recording of a camera whose images have a size ((0, 0): none), and a sound one."""
+    one = replace(at("a", factor), image_size=size)
+    cameras = [camera("a", said.pop("given", (640, 480))), camera("b")]
+    return join_sized([one, view("b")], cameras, SKELETON, {}, mends=mends, **said)
+
+
+@pytest.mark.parametrize(
+    ("size", "mends"),
+    [
+        ((480, 640), [mc.Rotated("a", 90)]),
+        ((240, 320), [mc.Rotated("a", 90), mc.Resized("a", 0.5)]),
+        ((320, 240), [mc.Resized("a", 0.5)]),
+        ((854, 640), [mc.Resized("a", np.sqrt(854 * 640 / (640 * 480)))]),  # 853.3, rounded
+        ((400, 480), [mc.Cropped("a", 120, 0, 240 / np.sqrt(12))]),
+        ((1280, 800), [mc.Resized("a", 2.0), mc.Cropped("a", 0, 80, 160 / np.sqrt(12))]),
+        ((640, 470), []),  # cut off from whole blocks
+        ((0, 0), []),
+    ],
+)
+def test_sizes_that_differ_show_how_the_intrinsics_are_corrected(size, mends):
+    found = sized(size)
+    assert [fault.mend for fault in found.corrected] == mends
+    assert found.cameras[0].size == (size if mends else (640, 480))
+    plain = mc.Recording.from_keypoints([view("a"), view("b")], [camera("a"), camera("b")])
+    for mend in mends:
+        plain = mend.apply(plain)
+    same(found.cameras[0].matrix, plain.cameras[0].matrix)
+
+
+@pytest.mark.parametrize(
+    ("size", "mends"),
+    [
+        ((480, 640), [mc.Rotated("a", 270)]),
+        ((320, 240), [mc.Resized("a", 0.5)]),
+        ((240, 320), [mc.Rotated("a", 90), mc.Resized("a", 0.5)]),
+        ((320, 480), [mc.Resized("a", 0.5, 1.0)]),
+    ],
+)
+@pytest.mark.parametrize("given", [(640, 480), (0, 0)])
+def test_what_is_stated_of_images_is_applied_before_sizes_are_compared(size, mends, given):
+    found = sized(size, *mends, given=given)
+    assert (found.corrected, found.cameras[0].size) == ((), size)
+    assert sized((400, 300), given=given, cropped={"a"}).corrected == ()
+
+
+def test_an_image_is_mirrored_as_it_is_after_it_was_turned():
+    found = sized((480, 640), mc.Mirrored("a", sides=False), mc.Rotated("a", 90))
+    same(found.positions[0, :3, ..., 0], 479 - at("a").positions[:3, ..., 0])
+
+
+@pytest.mark.parametrize(
+    ("size", "mends", "factor", "named"),
+    [
+        ((640, 480), [mc.Rotated("a", 90)], 1.0, ["480 x 640", "640 x 480"]),
+        ((320, 240), [mc.Resized("a", 0.25)], 1.0, ["160 x 120", "320 x 240"]),
+        ((0, 0), [], 3.0, ["640 x 480", "resized='a:FACTOR'"]),
+    ],
+)
+def test_sizes_that_contradict_what_is_stated_are_refused(size, mends, factor, named):
+    with pytest.raises(MismatchError) as refused:
+        sized(size, *mends, factor=factor)
+    assert all(each in str(refused.value) for each in named)
+
+
+def test_keypoints_beyond_an_image_of_unknown_size_show_a_quarter_turn():
+    tall = at("a")
+    tall.positions[..., 1] *= 2  # up to 800, as wide as 400
+    found = join_sized([tall, view("b")], [camera("a"), camera("b")], SKELETON, {})
+    assert [fault.mend for fault in found.corrected] == [mc.Rotated("a", 90)]
+    assert found.cameras[0].size == (480, 640)
+
+
+def test_a_single_wild_point_shows_nothing():
     wild = at("a")
     wild.positions[0, 0, 0] = 5000
-    assert record(wild, at("b")).names == ("a", "b")
+    assert join_sized([wild, at("b")], [camera("a"), camera("b")], SKELETON, {}).corrected == ()
 
 
 # files and detections that are there twice

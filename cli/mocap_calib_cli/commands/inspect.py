@@ -74,14 +74,21 @@ def _inspect(typed: Typed, file: "CameraFile | None") -> dict[str, Any]:
     from mocap_calib.recording.joints import fit_vocabulary
     from mocap_calib_cli import inputs
 
-    config = InspectConfig()
-    views, errors = read_what_can(typed.keypoints, typed.format, inputs.read_options(typed))
+    config, source = InspectConfig(), inputs.keypoint_source(typed)
+    views, errors = read_what_can(typed.keypoints, typed.format, source.options)
     cameras, notes = (file.cameras, file.notes) if file else ((), ())
     names = (name for view in views for name in view.keypoints)
     skeleton, aliases = fit_vocabulary(names, typed.skeleton)
     report = inspect_views(fill_image_sizes(views, cameras), skeleton, aliases, config)
     problems = find_problems(
-        views, report, cameras=cameras, skeleton=skeleton, aliases=aliases, config=config
+        views,
+        report,
+        cameras=cameras,
+        skeleton=skeleton,
+        aliases=aliases,
+        config=config,
+        mends=source.mends,
+        cropped=source.options.cropped,
     )
     report["findings"] = [
         *(_finding(str(error), critical=True) for error in errors),

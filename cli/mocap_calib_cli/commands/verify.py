@@ -93,7 +93,7 @@ def command(typed: Typed) -> int:
     else:
         screen.show(*_describe(found, absent), err=False)
     if form:
-        _write(typed.output, form, given, found)
+        _write(typed.output, form, given, rig, found)
     return 1 if found.named else ending.exit_status(found.verdict, typed)
 
 
@@ -163,9 +163,12 @@ def _camera_table(found: "Verification") -> "Table":
     return Table((*header, "refitted px", "place"), rows, "place")
 
 
-def _write(output: "Path", form: str, given: "CameraRig", found: "Verification") -> None:
+def _write(
+    output: "Path", form: str, given: "CameraRig", checked: "CameraRig", found: "Verification"
+) -> None:
     """Write the calibration with the cameras that moved where they are now.
 
+    checked: the rig that was verified, whose cameras are turned as the images are.
     Cameras that nothing places are left out. Of two cameras the poses are not known.
     """
     from mocap_calib.io.camera_files import write_cameras
@@ -175,19 +178,23 @@ def _write(output: "Path", form: str, given: "CameraRig", found: "Verification")
         echo(f"{output}: not written, nobody can say which of two cameras moved", err=True)
         return
     lost = [camera.name for camera in found.cameras if camera.word == "inconsistent"]
-    rig = _mend(given, found).select([name for name in given.names if name not in lost])
+    rig = _mend(given, checked, found).select([name for name in given.names if name not in lost])
     notes = write_cameras(output, rig, form, provenance("verify", **found.provenance))
     for note in (*notes, *([f"{', '.join(lost)}, which nothing places"] if lost else [])):
         echo(f"{output}: without {note}", err=True)
 
 
-def _mend(given: "CameraRig", found: "Verification") -> "CameraRig":
+def _mend(given: "CameraRig", checked: "CameraRig", found: "Verification") -> "CameraRig":
     """Return the rig of the file with the cameras that moved where they are now."""
+    import numpy as np
+
     rotation, translation = given.rotation.copy(), given.translation.copy()
     cameras = list(given.cameras)
     for name in found.named:
         view, pose = given.names.index(name), found.rig[name]
-        rotation[view], translation[view] = pose.rotation, pose.translation
+        back = given.rotation[view] @ checked[name].rotation.T
         if found[name].word == "focal":
+            back = np.eye(3)  # its intrinsics are those of the images
             (cameras[view],) = found.rig.select([name]).cameras
+        rotation[view], translation[view] = back @ pose.rotation, back @ pose.translation
     return replace(given, cameras=tuple(cameras), rotation=rotation, translation=translation)
