@@ -333,7 +333,7 @@ class UncertaintyConfig:
     given_principal_point: float = 0.005
     # One that is far from the middle may be that of other images, cropped or resized since: a share
     # of all, and their standard deviation beside that of lenses (5 % and more in 4 of 22 rigs).
-    # Where a user says how well it is known, in longer sides of the image, neither counts.
+    # Where a user states how well it is known, in longer sides of the image, neither counts.
     mistaken_share: float = 0.04
     mistaken_principal_point: float = 0.1
     usual_principal_point: float = 0.025
@@ -344,6 +344,7 @@ class UncertaintyConfig:
     outlier_factor: float = 4.0
     # Errors beyond sigma, which the cameras of real rigs share: up to 3.5 % of shelf.
     focal_systematic: float = 0.02
+    focal_uncertainty: float | None = None  # as a user states it, a share of each focal length
     tied_misfit: float = 1.001  # ratio of misfits that differ by where an adjustment ended alone
     same_misfit: float = 1.05  # ratio of the misfits of two rigs that fit equally well
 

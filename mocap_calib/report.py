@@ -123,7 +123,7 @@ def _describe_intrinsics(group: GroupResult, view: int, config: IntrinsicsConfig
     found = {
         "source": "given",
         "focal_px": camera.focal,
-        "focal_sigma_px": None,
+        "focal_sigma_px": camera.focal_sigma,
         "k1": float(camera.distortion[0]) if len(camera.distortion) else 0.0,
         "k1_sigma": None,
         "focal_change": finite_or_none(uncertainty.focal_change[view]),
@@ -132,7 +132,6 @@ def _describe_intrinsics(group: GroupResult, view: int, config: IntrinsicsConfig
     if isinstance(camera, EstimatedCamera):
         least = config.least_gain * config.focal_uncertainty * camera.focal
         found["source"] = "not determined" if camera.focal_sigma >= least else "estimated"
-        found["focal_sigma_px"] = camera.focal_sigma
         found["k1_sigma"] = camera.k1_sigma or None
     return found
 

@@ -222,8 +222,8 @@ class Camera(Record):
     matrix: `[3, 3]`; pixel centres are integers (OpenCV).
     distortion: `[4 | 5 | 8]` OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or `[4]` of cv2.fisheye when
         `fisheye` is set; none where it is left out.
-    centre_sigma: standard deviation of the principal point along each axis in pixels; None = not
-        stated.
+    centre_sigma, focal_sigma: standard deviations of the principal point along each axis, and of
+        the focal length, in pixels; None = not stated.
     """
 
     name: str
@@ -232,6 +232,7 @@ class Camera(Record):
     distortion: Floats = field(default_factory=lambda: np.zeros(5))
     fisheye: bool = False
     centre_sigma: float | None = field(default=None, kw_only=True)
+    focal_sigma: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         self._copy(f"camera {self.name}", "matrix", float, 3, 3)
@@ -278,7 +279,8 @@ class EstimatedCamera(Camera):
     @classmethod
     def of(cls, camera: Camera, *, focal_sigma: float, k1_sigma: float) -> Self:
         """Return a camera with the standard deviations of its estimated intrinsics."""
-        return cls(**_intrinsic_fields(camera), focal_sigma=focal_sigma, k1_sigma=k1_sigma)
+        sigmas = {"focal_sigma": focal_sigma, "k1_sigma": k1_sigma}
+        return cls(**_intrinsic_fields(camera) | sigmas)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -152,7 +152,7 @@ def calibration_request(typed: Typed, output: Path) -> CalibrationRequest:
             sync=sync_config(typed),
             world=world,
             poses=PosesConfig(smooth=typed.smooth),
-            uncertainty=UncertaintyConfig(centre_uncertainty=typed.centre_uncertainty),
+            uncertainty=uncertainty_config(typed),
         ),
         formats=typed.write,
         fps=fps,
@@ -169,6 +169,13 @@ def sync_config(typed: Typed) -> SyncConfig:
     return SyncConfig(mode=typed.sync, window=typed.sync_window, rates=ratios)
 
 
+def uncertainty_config(typed: Typed) -> UncertaintyConfig:
+    """Return how well given intrinsics are known."""
+    return UncertaintyConfig(
+        centre_uncertainty=typed.centre_uncertainty, focal_uncertainty=typed.focal_uncertainty
+    )
+
+
 def _intrinsics_config(typed: Typed) -> IntrinsicsConfig:
     """Return which intrinsics are estimated. Raises click's UsageError."""
     refine = typed.refine or ("none" if typed.cameras else ASSUMED_REFINEMENT)
@@ -177,12 +184,11 @@ def _intrinsics_config(typed: Typed) -> IntrinsicsConfig:
             "--refine none: expected intrinsics that stay as they are, found none; "
             "give --cameras, or leave it out"
         )
-    for option in ("focal-uncertainty", "focal-per-camera"):
-        if refine == "none" and getattr(typed, option.replace("-", "_")):
-            raise click.UsageError(
-                f"--{option}: expected focal lengths that are estimated, found none; "
-                "say --refine focal"
-            )
+    if refine == "none" and typed.focal_per_camera:
+        raise click.UsageError(
+            "--focal-per-camera: expected focal lengths that are estimated, found none; "
+            "use --refine focal"
+        )
     return IntrinsicsConfig(
         refine=refine,
         focal_uncertainty=typed.focal_uncertainty or IntrinsicsConfig.focal_uncertainty,

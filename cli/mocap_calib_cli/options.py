@@ -27,8 +27,8 @@ refine: What of the intrinsics is estimated with the rig: none, focal (length), 
     first coefficient of the lens). [default: none, without --cameras focal+k1]
 centre_uncertainty: How well the given principal points are known, as 0.2% of the longer
     image side. [default: 0.5%, and less where they are far from the middle of the image]
-focal_uncertainty: How good the focal lengths in INTRINSICS are, as 5%; they are estimated within
-    it. [default: 50%]
+focal_uncertainty: How well the given focal lengths are known, as 2%; with --refine they are
+    estimated within it. [default: 50% with --refine, else as the recording has it]
 focal_per_camera: Estimate the intrinsics of each camera by itself. [default: cameras of equal image
     size change alike]
 rig: File or folder with cameras and where they stand (docs/formats.md); - reads stdin.

@@ -59,6 +59,16 @@ def centre_sigma(camera: Camera, config: UncertaintyConfig) -> float:
     return float(longer * np.sqrt(config.given_principal_point**2 + share * far**2 / 2))
 
 
+def focal_sigmas(cameras: Sequence[Camera], config: UncertaintyConfig) -> Floats:
+    """Return the stated standard deviations `[view]` of the logarithms of focal lengths.
+
+    NaN where none is stated.
+    """
+    usual = np.nan if config.focal_uncertainty is None else config.focal_uncertainty
+    known = [(camera.focal_sigma, camera.focal) for camera in cameras]
+    return np.array([usual if sigma is None else sigma / focal for sigma, focal in known])
+
+
 def rows(cameras: Sequence[Camera]) -> Floats:
     """Return the lenses `[view, 14]` as kernels take them, see `kernels.lens`."""
     found = np.zeros((len(cameras), 14))

@@ -174,8 +174,14 @@ class Resized:
         matrix[:2] *= factors[:, None]
         matrix[:2, 2] += (factors - 1) / 2  # pixel centres are integers
         width, height = np.rint(factors * camera.size).astype(int).tolist()
-        centre = camera.centre_sigma and float(factors.max()) * camera.centre_sigma
-        resized = replace(camera, size=(width, height), matrix=matrix, centre_sigma=centre)
+        largest = float(factors.max())
+        resized = replace(
+            camera,
+            size=(width, height),
+            matrix=matrix,
+            centre_sigma=camera.centre_sigma and largest * camera.centre_sigma,
+            focal_sigma=camera.focal_sigma and largest * camera.focal_sigma,
+        )
         if self.sigma:
             sigma = np.hypot(centre_sigma(resized, UncertaintyConfig()), self.sigma * matrix[:2, 2])
             resized = EstimatedCamera.of(

@@ -27,7 +27,7 @@ from mocap_calib.compute import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.lens import change_intrinsics
+from mocap_calib.geometry.lens import change_intrinsics, focal_sigmas
 from mocap_calib.geometry.rotation import rig_change, rig_size
 from mocap_calib.pairs.solve import in_recording
 from mocap_calib.recording.sampling import with_cameras
@@ -221,13 +221,14 @@ def assess_uncertainty(
     fit = measure_fit(sample, rig, matches, config)
     covariance = rig_covariance(sample, rig, matches, config)
     free = _free_focal(sample, rig, matches, config)
-    off = estimated_focal_changes(sample, rig, matches, config)
+    off = uncertain_focal_changes(sample, rig, matches, config)
     if free is not None:
         off = np.concatenate([off, given_focal_change(rig, free, config.uncertainty)[None]])
     change, sigma = np.full((2, len(rig.cameras)), np.nan)
     # what was estimated is not found to be wrong
     if free is not None and not any(isinstance(each, EstimatedCamera) for each in rig.cameras):
-        change, sigma = free.change, free.sigma
+        stated = np.nan_to_num(focal_sigmas(rig.cameras, config.uncertainty))
+        change, sigma = free.change, np.hypot(free.sigma, stated)
     tells = len(labelled_frames(matches)) >= config.uncertainty.time_blocks
     return Uncertainty(
         covariance=covariance.with_changes(off),
@@ -263,27 +264,28 @@ def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfi
     What the rig changes by when they are free, less what right ones change by: chance, and what is
     wrong with detections beside it. Of the mean square of the changes of focal length, in standard
     deviations of both, that is 1. Efron and Morris 1973: "Stein's Estimation Rule and Its
-    Competitors", the positive-part rule.
+    Competitors", the positive-part rule. Those of stated uncertainty are known as well as stated.
     """
     usual = np.hypot(free.sigma, config.focal_systematic)
-    significance = float(np.mean((free.change / usual) ** 2))
+    given = np.array([not isinstance(camera, EstimatedCamera) for camera in rig.cameras])
+    stated = given & np.isfinite(focal_sigmas(rig.cameras, config))
+    significance = float(np.where(stated, 0.0, (free.change / usual) ** 2).mean())
     beyond_usual = max(0.0, 1 - 1 / max(significance, 1e-12))
     return np.sqrt(beyond_usual) * rig_change(rig, free.rig)
 
 
-def estimated_focal_changes(
+def uncertain_focal_changes(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config
 ) -> Floats:
-    """Return by how much `[change, view, 6]` cameras may be off because of estimated focal lengths.
+    """Return by how much `[change, view, 6]` cameras may be off by what focal lengths may be.
 
-    What the rig changes by when focal lengths that were estimated together become longer by a
-    standard deviation and the rig is adjusted again; none where focal lengths were given.
+    What the rig changes by when focal lengths that were estimated together, or one of stated
+    uncertainty, become longer by a standard deviation and the rig is adjusted again.
     """
-    sigma = np.zeros(len(rig))
-    for view, camera in enumerate(rig.cameras):
-        if isinstance(camera, EstimatedCamera):
-            sigma[view] = camera.focal_sigma / camera.focal
+    sigma = np.nan_to_num(focal_sigmas(rig.cameras, config.uncertainty))
+    estimated = np.array([isinstance(camera, EstimatedCamera) for camera in rig.cameras])
     kind = shared_intrinsics(rig.cameras, config.intrinsics)
+    kind = np.where(estimated, kind, -1 - np.arange(len(rig)))  # each was calibrated by itself
     # cameras whose focal lengths are one estimate have one sigma
     _, group = np.unique(np.stack([kind, sigma.round(9)]), axis=1, return_inverse=True)
     changes = []

@@ -66,9 +66,9 @@ from mocap_calib.results import Matches
 from mocap_calib.rig import MEDIAN_DISTANCE, Tracks
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera, silent
 from mocap_calib.verdict.verdict import (
-    estimated_focal_changes,
     find_wrong_focal,
     given_focal_change,
+    uncertain_focal_changes,
 )
 
 SMALL = {"cameras": 3, "people": 1, "false_detections": 0.0}
@@ -252,7 +252,7 @@ def test_a_rig_is_as_uncertain_as_its_focal_lengths():
     """Not at all where they were given; twice as much for twice the sigma (measured 1.8 to 2.1)."""
     sample, matches, config = recording(**SMALL), truth(**SMALL), Config()
     rig = adjust_twice(sample, scene(**SMALL).rig, matches, config)
-    assert estimated_focal_changes(sample, rig, matches, config).shape == (0, len(rig), 6)
+    assert uncertain_focal_changes(sample, rig, matches, config).shape == (0, len(rig), 6)
 
     def change(sigma: float) -> float:
         cameras = tuple(
@@ -260,7 +260,7 @@ def test_a_rig_is_as_uncertain_as_its_focal_lengths():
             for camera in rig.cameras
         )
         uncertain: CameraRig = replace(rig, cameras=cameras)
-        return np.linalg.norm(estimated_focal_changes(sample, uncertain, matches, config))
+        return np.linalg.norm(uncertain_focal_changes(sample, uncertain, matches, config))
 
     assert change(0.1) / change(0.05) == pytest.approx(2, abs=0.5)
 

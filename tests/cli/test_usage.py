@@ -144,7 +144,6 @@ RUN = "run k --cameras i.toml -o o"
         ("run k -o o --refine none", "give --cameras"),
         ("batch k -o o --strict --accept not-determined", "--strict: expected it without --accept"),
         ("adjust k --rig r --matches m --strict --accept not-determined", "it without --accept"),
-        (f"{RUN} --focal-uncertainty 5%", "--focal-uncertainty: expected focal lengths that are"),
         (f"{RUN} --focal-per-camera", "--focal-per-camera: expected focal lengths that are"),
         (f"{RUN} --align m.csv --world cam1", "--align: expected the world of the landmarks alone"),
         (f"{RUN} --write kalibr", "--write: expected one of poses-h5, "),  # only read

@@ -254,8 +254,8 @@ def test_centres_are_as_sure_as_percents_of_the_rig_in_its_unit(unit, tmp_path):
 @pytest.mark.parametrize("name", CAMERAS)
 def test_estimated_intrinsics_are_marked(name, tmp_path):
     first, *others = studio(name).cameras
-    fields = {key: getattr(first, key) for key in mc.Camera.__dataclass_fields__}
-    estimated = EstimatedCamera(**fields, focal_sigma=SIGMA, k1_sigma=0.02 * (name == "anipose"))
+    k1_sigma = 0.02 * (name == "anipose")
+    estimated = EstimatedCamera.of(first, focal_sigma=SIGMA, k1_sigma=k1_sigma)
     mc.write(replace(studio(name), cameras=(estimated, *others)), tmp_path / "out", name)
     for content in contents(tmp_path / "out").values():
         said = (
@@ -270,6 +270,22 @@ def test_estimated_intrinsics_are_marked(name, tmp_path):
         metadata = tomllib.loads((tmp_path / "out").read_text())["metadata"]
         expected = {"cam0": {"focal_sigma": SIGMA, "k1_sigma": 0.02}}
         assert metadata["estimated_intrinsics"] == expected
+
+
+def test_stated_uncertainties_of_intrinsics_come_back(tmp_path):
+    first, second, *others = studio("mocap-calib").cameras
+    stated = replace(first, centre_sigma=2.5, focal_sigma=0.0)
+    estimated = EstimatedCamera.of(
+        replace(second, centre_sigma=0.1), focal_sigma=SIGMA, k1_sigma=0.0
+    )
+    rig = replace(studio("mocap-calib"), cameras=(stated, estimated, *others))
+    mc.write(rig, tmp_path / "cameras.yaml")
+    assert mc.read_rig(tmp_path / "cameras.yaml").cameras == rig.cameras
+    tree = yaml.safe_load((tmp_path / "cameras.yaml").read_text("utf-8"))
+    tree["cameras"][0]["focal_sigma"] = -1.0
+    (tmp_path / "cameras.yaml").write_text(yaml.safe_dump(tree, sort_keys=False))
+    with pytest.raises(mc.FormatError, match="focal_sigma"):
+        mc.read_cameras(tmp_path / "cameras.yaml")
 
 
 @pytest.mark.parametrize("name", CAMERAS)

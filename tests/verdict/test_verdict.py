@@ -301,6 +301,29 @@ def test_a_user_may_say_how_well_principal_points_are_known():
     assert found == pytest.approx(0.001 * max(camera.size))
 
 
+@pytest.mark.parametrize("field", ["centre_sigma", "focal_sigma"])
+def test_a_wider_stated_sigma_never_lowers_the_expected_error(field):
+    """Focal lengths that are stated to be exact leave the covariance of the detections alone."""
+    errors, matches = [], sound().matches
+    sample = sample_of(sound().recording)
+    for share in (0.0, 0.002, 0.01, 0.05):
+        cameras = tuple(
+            replace(camera, **{field: share * camera.focal}) for camera in sound().rig.cameras
+        )
+        rig = replace(sound().rig, cameras=cameras)
+        known = assess_uncertainty(sample, rig, matches, Config())
+        adjusted = replace(sound().adjusted, rig=rig)
+        group = judged(replace(sound(), adjusted=adjusted, uncertainty=known))
+        errors.append(group.assessment.error_deg)
+        if field == "focal_sigma" and not share:
+            assert known.covariance == rig_covariance(sample, rig, matches, Config())
+    assert errors == sorted(errors)
+    assert errors[-1] > 1.3 * errors[0]  # measured 1.5 and 43
+    if field == "focal_sigma":
+        option = Config(uncertainty=replace(SETTINGS, focal_uncertainty=share))
+        assert assess_uncertainty(sample, sound().rig, matches, option) == known
+
+
 def test_a_crop_that_is_stated_is_no_principal_point_far_from_the_middle():
     recording, width = sound().recording, max(sound().recording.cameras[0].size)
     cropped = mc.Cropped("cam1", 0.3 * width, 0.0).apply(recording).cameras[0]

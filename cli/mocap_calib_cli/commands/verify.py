@@ -32,6 +32,7 @@ _FIGURES = ("shift", "shift_sigma", "relative_shift", "error_px", "refitted_px")
     *options.READING,
     *options.MODEL,
     "centre_uncertainty",
+    "focal_uncertainty",
     "sync",
     "sync_window",
     "seed",
@@ -64,7 +65,7 @@ def command(typed: Typed) -> int:
     to: Format of FILE, where its ending does not say it (docs/formats.md).
     as_json: Figures as JSON instead of a table.
     """
-    from mocap_calib.config import Config, UncertaintyConfig
+    from mocap_calib.config import Config
     from mocap_calib.io.kinds import choose_format
     from mocap_calib.verdict.verify import verify
     from mocap_calib_cli import ending, inputs, screen
@@ -80,7 +81,7 @@ def command(typed: Typed) -> int:
             rig,
             config=Config(
                 sync=inputs.sync_config(typed),
-                uncertainty=UncertaintyConfig(centre_uncertainty=typed.centre_uncertainty),
+                uncertainty=inputs.uncertainty_config(typed),
             ),
             seed=typed.seed,
             device=typed.device,

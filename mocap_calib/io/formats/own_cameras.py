@@ -45,6 +45,8 @@ class _Camera(msgspec.Struct):
     size: Any = None
     model: Literal["opencv", "fisheye", "pinhole"] = "opencv"
     distortion: Any = None
+    principal_point_sigma: _Sigma | None = None
+    focal_sigma: _Sigma | None = None
     estimated: _Estimated | msgspec.UnsetType = msgspec.UNSET
     R: Any = None
     t: Any = None
@@ -64,7 +66,9 @@ class _Camera(msgspec.Struct):
         )
 
     def mark(self, camera: Camera) -> Camera:
-        """Return the camera with its uncertainties, where it was estimated from a recording."""
+        """Return the camera with the uncertainties that are stated, or were estimated."""
+        centre_sigma, focal_sigma = self.principal_point_sigma, self.focal_sigma
+        camera = replace(camera, centre_sigma=centre_sigma, focal_sigma=focal_sigma)
         if self.estimated is msgspec.UNSET:
             return camera
         return EstimatedCamera.of(camera, **msgspec.structs.asdict(self.estimated))
@@ -120,16 +124,19 @@ def camera_from_fields(fields: Any, source: str) -> Camera:
 
 def camera_fields(camera: Camera) -> dict[str, Any]:
     """Return the fields of a camera in our own files."""
-    estimated: dict[str, Any] = {}
+    sigmas: dict[str, Any] = {
+        "principal_point_sigma": camera.centre_sigma,
+        "focal_sigma": camera.focal_sigma,
+    }
     if isinstance(camera, EstimatedCamera):
-        estimated = {"estimated": estimated_fields(camera)}
+        sigmas |= {"focal_sigma": None, "estimated": estimated_fields(camera)}
     return {
         "name": camera.name,
         "size": list(camera.size),
         "model": "fisheye" if camera.fisheye else "opencv",
         "K": camera.matrix.tolist(),
         "distortion": camera.distortion.tolist(),
-        **estimated,
+        **{name: value for name, value in sigmas.items() if value is not None},
     }
 
 
