@@ -11,7 +11,13 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.config import DECISIVE_NATS, EPOCH_MARK, VERDICT_LIMITS_DEG, Config
+from mocap_calib.config import (
+    DECISIVE_NATS,
+    EPOCH_MARK,
+    VERDICT_LIMITS_DEG,
+    Config,
+    UncertaintyConfig,
+)
 from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.all_cameras import find_upward_axes
 from mocap_calib.faults.compare import Alternative, find_faulty_cameras
@@ -34,8 +40,9 @@ _ROUNDS = 3  # of finding and correcting faults: one may hide another
 # evidence of all detections that a correction explains, or no longer explains: as many have errors
 # of their own, about
 _NATS_OF_ALL = 2000.0
-_LEAST_DIFFERENCE = 0.01  # of the logarithms of focal lengths; to exchange equal ones is harmless
-_SYSTEMATIC = 0.01  # error of a change of focal length beyond its standard deviation
+# of the logarithms of focal lengths: errors that calibrated ones share, and what differs by less is
+# equal
+_SYSTEMATIC = UncertaintyConfig.focal_systematic / 2
 
 
 def mend_faults(
@@ -303,7 +310,7 @@ def find_exchanged_cameras(group: GroupResult) -> list[Alternative]:
     for a, b in combinations(range(len(focal)), 2):
         ends, other = np.array([a, b]), focal[[b, a]] - focal[[a, b]]
         nats = (change[ends] ** 2 - (change[ends] - other) ** 2) / (2 * variance[ends])
-        if abs(other[0]) > _LEAST_DIFFERENCE and (nats > 0).all():
+        if abs(other[0]) > _SYSTEMATIC and (nats > 0).all():
             likelier.append((float(nats.sum()), a, b))
     nats, *views = max(likelier, default=(0.0, 0, 0))
     if nats < DECISIVE_NATS:
