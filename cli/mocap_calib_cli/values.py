@@ -74,7 +74,17 @@ class Written(click.ParamType[Any]):
 # --- files and folders
 
 
-class Input(click.Path):
+class File(click.Path):
+    """A file or folder, whose name may come from an option file, or from results."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; no name of a file has a NUL."""
+        if "\0" in os.fsdecode(value):
+            self.fail(f"expected the name of a file, found {value!r}, with a NUL", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class Input(File):
     """A file or folder that a command reads."""
 
     def get_missing_message(
@@ -114,7 +124,7 @@ class NameOrFile(Written):
         return path.suffix.lower() in self.endings or os.path.isfile(path)
 
 
-class Output(click.Path):
+class Output(File):
     """A file or folder that a command writes, which is checked before the work starts."""
 
     def __init__(self, *, folder: bool = False) -> None:
@@ -130,7 +140,7 @@ class Output(click.Path):
 KEYPOINTS = Input()  # also name=path
 INTRINSICS = Intrinsics()
 INPUT = Input()
-FILE = click.Path(path_type=Path)
+FILE = File(path_type=Path)
 OUTPUT = Output()
 OUTPUT_FOLDER = Output(folder=True)
 

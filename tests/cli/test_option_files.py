@@ -157,6 +157,7 @@ def test_the_command_line_wins(tool, tmp_path):
         ("seed: 1\n  fps: 3", ":2: expected YAML, found mapping values are not allowed here"),
         ("seed: " + "[" * 5000, ": expected YAML, found "),
         ("x" * 200_000, ": expected a file of options, below 100 kB, found 200 kB"),
+        ('cameras: "a\\0b"', ":1: cameras: expected the name of a file, found 'a\\x00b'"),
         ("\nfps: cam1:60", ":2: fps: expected that of the other cameras too, as --fps 30"),
         *((f"{key}: '{'9' * 5000}'", f":1: {key}: expected ") for key in ("image-size", "height")),
         *((f'{key}: "1\\n2"', f":1: {key}: expected ") for key in ("resized", "frame-offset")),
