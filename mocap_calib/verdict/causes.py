@@ -169,7 +169,7 @@ def unchecked_by_a_third_camera(group: GroupResult, config: Config) -> Iterator[
         yield Cause("pair", "", _ANY_DEG * lack**2, meaning, "add a camera, and record longer")
     first, second = group.rig.rotation
     quarter = quarter_turn(second, first[None], config.diagnosis.upright_deg)
-    if quarter:
+    if quarter and group.pairs:  # found from pairs; in a rig that was given, cameras may lie so
         meaning = f"the images of one camera may be turned by {quarter} deg"
         yield Cause("rotated", "", float(quarter), meaning, "look at the videos")
 

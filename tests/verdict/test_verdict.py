@@ -379,6 +379,8 @@ def test_images_of_one_of_two_cameras_may_be_turned(quarters):
     rig = replace(group.rig, rotation=rotation)
     found = causes_of(replace(group, adjusted=replace(group.adjusted, rig=rig)), "rotated")
     assert [each.error_deg for each in found] == ([] if quarters == 0 else [90.0 * quarters])
+    given = replace(group, adjusted=replace(group.adjusted, rig=rig), pairs=())
+    assert causes_of(given, "rotated") == []
 
 
 def test_the_likeliest_scale_of_images_is_told_by_where_keypoints_lie():
