@@ -35,6 +35,7 @@ def describe_recording(summary: RecordingSummary) -> list[str]:
     return [
         *summary.camera_notes,
         *format_table(["camera", "keypoints", "frames", "detections"], rows),
+        *keep_lines({summary.naming: summary.naming}),
         *summary.corrected,
         *summary.filled_in,
         *keep_lines(cases),
@@ -43,8 +44,11 @@ def describe_recording(summary: RecordingSummary) -> list[str]:
 
 
 def describe_ignored_files(files: Sequence[str]) -> list[str]:
-    """Say which files are not read because an .h5 file lies beside them."""
-    return keep_lines({f"left out, the .h5 beside it is read: {', '.join(files)}": files})
+    """Say which files are not read because an .h5 file or a filtered one lies beside them."""
+    listed = ", ".join(files)
+    return keep_lines(
+        {f"left out, the .h5 or the filtered file beside it is read: {listed}": files}
+    )
 
 
 # --- what was found

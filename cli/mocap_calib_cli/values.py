@@ -7,6 +7,7 @@ so that --help is quick; torch never is.
 
 import os
 import re
+import unicodedata
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -204,6 +205,11 @@ def _corner(text: str) -> tuple[float, float]:
     return x, y
 
 
+def _name(text: str) -> str:
+    """Return the name of a camera in the normal form in which names are compared, NFC."""
+    return unicodedata.normalize("NFC", text)
+
+
 def _of_camera(
     read: Callable[[str], Value], *, of_all: bool = False
 ) -> Callable[[str], tuple[str, Value]]:
@@ -214,14 +220,14 @@ def _of_camera(
 
     def read_both(text: str) -> tuple[str, Value]:
         camera, _, value = text.rpartition(":")
-        return _allowed(camera, bool(camera) or of_all), read(value)
+        return _allowed(_name(camera), bool(camera) or of_all), read(value)
 
     return read_both
 
 
 def _two_cameras(text: str) -> tuple[str, str]:
     """Return the cameras of `A,B`."""
-    first, second = text.split(",")
+    first, second = _name(text).split(",")
     return _allowed((first, second), bool(first and second) and first != second)
 
 
@@ -270,7 +276,7 @@ def _video(text: str) -> tuple[str, Path]:
 
 
 PERCENTAGE = Written("SHARE", "a share of up to 100%, as 5% or 0.05", _share)
-CAMERA = Written("CAM")
+CAMERA = Written("CAM", read=_name)
 IMAGE_SIZE = Written(
     "WxH|CAM:WxH", "a width and a height above 0, as 1280x720", _of_camera(_size, of_all=True)
 )

@@ -10,7 +10,7 @@ import numpy as np
 from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.geometry.rotation import mean_of_known
 from mocap_calib.recording.joints import normalise_name
-from mocap_calib.recording.names import keypoint_meanings, views_named
+from mocap_calib.recording.names import find_names, keypoint_meanings
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Camera, Floats, Ints, Keypoints2D, Reals, Skeleton
 
@@ -92,12 +92,14 @@ def fill_image_sizes(
     views: Sequence[Keypoints2D], cameras: Sequence[Camera]
 ) -> tuple[Keypoints2D, ...]:
     """Return the views, with the image sizes of the cameras of their names where they have none."""
-
-    def size_of(view: Keypoints2D) -> tuple[int, int]:
-        sizes = (camera.size for camera in cameras if views_named([view], [camera]))
-        return next(sizes, (0, 0)) if view.image_size == (0, 0) else view.image_size
-
-    return tuple(replace(view, image_size=size_of(view)) for view in views)
+    sizes = {camera.name: camera.size for camera in cameras}
+    found = find_names([view.camera for view in views], list(sizes))
+    return tuple(
+        replace(view, image_size=sizes[names[0]])
+        if view.image_size == (0, 0) and len(names) == 1
+        else view
+        for view, names in zip(views, found, strict=True)
+    )
 
 
 def seen_points(view: Keypoints2D) -> Bools:

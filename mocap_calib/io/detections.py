@@ -13,6 +13,7 @@ from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_FRAME, MOST_POINTS, Origin, find_repeated
 from mocap_calib.io.format import Loss
 from mocap_calib.io.read_options import ReadOptions, choose_layout
+from mocap_calib.recording.names import compose_name
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 NO_SCORE = "no scores in the file: every point counts fully"
@@ -39,7 +40,7 @@ def find_camera(name: str, pattern: str) -> str:
 
     It is the pattern's group `camera`, else its first group, else all that it finds.
     """
-    found = re.search(pattern, name)
+    found = re.search(compose_name(pattern), compose_name(name))
     if found is None:
         return ""
     named = found.groupdict().get("camera")

@@ -65,6 +65,7 @@ KEYPOINT_FORMATS = FormatTable(
 )
 FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat")
 SUFFIXES = (*FOLDER_SUFFIXES, ".txt")  # the last only where there is nothing else
+_FILTERED = "_filtered"  # end of the names of files of DeepLabCut's filterpredictions
 _REMEDY = "export one of these (docs/formats.md)"
 
 
@@ -217,17 +218,28 @@ def list_documents(
 
     Raises MismatchError, and FormatError for videos and images.
     """
-    return [each for path in paths for each in _of_argument(str(path), options, format)]
+    files = [Path(path) for path in paths if "=" not in str(path)]
+    left_out = {*find_superseded_files([file for file in files if not file.is_dir()])}
+    read = [path for path in paths if Path(path) not in left_out]
+    return [each for path in read for each in _of_argument(str(path), options, format)]
 
 
-def find_superseded_files(folder: Path) -> list[Path]:
-    """Return the .csv files beside an .h5 file of the same name, as DeepLabCut writes them.
+def find_superseded_files(paths: Sequence[Path]) -> list[Path]:
+    """Return the files of folders, and of files, in whose place another one beside them is read.
 
-    The .h5 is read in their place.
+    That is the .h5 of a .csv, and the `_filtered` of either, as DeepLabCut writes them; its own
+    triangulation takes the filtered ones, too.
     """
-    files = _list_files(folder)
-    binary = {file.stem for file in files if file.suffix.lower() == ".h5"}
-    return [file for file in files if file.suffix.lower() == ".csv" and file.stem in binary]
+    files = [each for path in paths for each in (_list_files(path) if path.is_dir() else [path])]
+    tables = [file for file in files if file.suffix.lower() in (".h5", ".csv")]
+    stems = {file.with_suffix("") for file in tables}
+    binary = {file.with_suffix("") for file in tables if file.suffix.lower() == ".h5"}
+    return [
+        file
+        for file in tables
+        if file.with_name(f"{file.stem}{_FILTERED}") in stems
+        or (file.suffix.lower() == ".csv" and file.with_suffix("") in binary)
+    ]
 
 
 def _of_argument(text: str, options: ReadOptions, format: str | None) -> list[Document]:
@@ -293,7 +305,7 @@ def _of_files(folder: Path, format: str | None) -> list[Document]:
             camera=_stem(file),
             format=frames.format if file.absolute() == frames.file else None,
         )
-        for file in sorted({*files} - {*find_superseded_files(folder)})
+        for file in sorted({*files} - {*find_superseded_files(files)})
     ]
 
 

@@ -4,14 +4,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
+from typing import TypeVar
 
 import numpy as np
 
 from mocap_calib.config import LARGEST_SHARE, LEAST_SHARE
 from mocap_calib.errors import FormatError, MismatchError, argument, one_line, suggest
 from mocap_calib.io.file import LARGEST_FRAME
-from mocap_calib.recording.names import compose_name
+from mocap_calib.recording.names import compose_name, find_names
 from mocap_calib.types import Keypoints2D
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -41,10 +44,9 @@ class ReadOptions:
     single_precision: bool = False
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
-    @property
-    def cropped(self) -> frozenset[str]:
-        """Names of the cameras whose keypoints were found in a part of the image."""
-        return frozenset(map(compose_name, self.crop_offset))
+    def cropped(self, views: Sequence[Keypoints2D]) -> frozenset[str]:
+        """Return the names of the views whose keypoints were found in a part of the image."""
+        return frozenset(_by_view(self.crop_offset, [view.camera for view in views]))
 
     def size_of(self, camera: str) -> tuple[int, int]:
         """Return the size of the images of a camera, (0, 0) where the user does not say."""
@@ -106,15 +108,12 @@ def apply_offsets(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[K
 
     Raises MismatchError for offsets, and image sizes, of cameras that are not there.
     """
-    known = {view.camera for view in views}
-    offsets = (*options.frame_offset, *options.crop_offset)
-    for what, cameras in (("image sizes", tuple(options.image_sizes)), ("offsets", offsets)):
-        for camera in cameras:
-            if compose_name(camera) not in known:
-                expected = f"{what} of the cameras {', '.join(sorted(known))}"
-                raise MismatchError("", expected, f"one of {camera}", "change its name")
-    frame_offset = {compose_name(camera): n for camera, n in options.frame_offset.items()}
-    crop_offset = {compose_name(camera): xy for camera, xy in options.crop_offset.items()}
+    known = [view.camera for view in views]
+    frame_offset = _by_view(options.frame_offset, known)
+    crop_offset = _by_view(options.crop_offset, known)
+    for camera in options.image_sizes:
+        if compose_name(camera) not in known:
+            raise _no_such_view(camera, known, "image sizes")
     whole = (
         replace(view, image_size=options.size_of(view.camera))
         if view.camera in crop_offset
@@ -127,6 +126,30 @@ def apply_offsets(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[K
         )
         for view in whole
     )
+
+
+def _no_such_view(camera: str, known: Sequence[str], what: str) -> MismatchError:
+    """Return the refusal of what is given of a camera that no view is of."""
+    expected = f"{what} of the cameras {', '.join(sorted(known))}"
+    return MismatchError("", expected, f"one of {camera}", "change its name")
+
+
+def _by_view(given: Mapping[str, T], known: Sequence[str]) -> dict[str, T]:
+    """Return what is given by camera by the name of its view, see `find_names`.
+
+    Raises MismatchError for cameras that no view is of.
+    """
+    names = list(map(compose_name, given))
+    of_view = find_names(known, names) if known else []
+    found = {
+        view: given[list(given)[names.index(each[0])]]
+        for view, each in zip(known, of_view, strict=True)
+        if len(each) == 1
+    }
+    for camera in names:
+        if not any(camera in each for each in of_view):
+            raise _no_such_view(camera, known, "offsets")
+    return found
 
 
 def _apply_offset(view: Keypoints2D, frames: int, pixels: tuple[float, float]) -> Keypoints2D:

@@ -19,6 +19,7 @@ from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.names import (
     ASSUMED_NOTE,
     assume_cameras,
+    describe_names,
     keypoint_meanings,
     match_cameras,
     unshared_keypoints,
@@ -56,6 +57,7 @@ class RecordingSummary:
     filled_in: a line for each camera with keypoints that were completed, not measured.
     unknown_cameras: names of keypoint files that no camera of the rig belongs to.
     corrected: a line for each camera whose intrinsics are for images of another size.
+    naming: a line that says that cameras were found in longer names, "" where they were not.
     """
 
     cameras: tuple[CameraSummary, ...]
@@ -72,6 +74,7 @@ class RecordingSummary:
     filled_in: tuple[str, ...]
     unknown_cameras: tuple[str, ...]
     corrected: tuple[str, ...]
+    naming: str
 
     @property
     def known(self) -> int:
@@ -150,7 +153,7 @@ def load_recording(
     unknown = tuple(view.camera for view in views if known and view not in known)
     views = known or views
     skeleton, aliases = _choose_vocabulary(source, views)
-    cropped = source.options.cropped
+    cropped = source.options.cropped(views)
     recording = join_sized(views, cameras, skeleton, aliases, mends=source.mends, cropped=cropped)
     recording = replace(recording, model=source.model or skeleton.name)
     used = views_with_detections(views)
@@ -175,14 +178,15 @@ def load_recording(
         filled_in=describe_filled(views),
         unknown_cameras=unknown,
         corrected=describe_corrected(recording),
+        naming=describe_names(views, match_cameras(views, cameras)),
     )
     return LoadedRecording(recording, summary)
 
 
 def find_ignored_files(arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the files of the folders that are not read because an .h5 file lies beside them."""
-    folders = [path for path in map(Path, arguments) if path.is_dir()]
-    return tuple(str(file) for folder in folders for file in find_superseded_files(folder))
+    """Return the files that are not read because an .h5 file or a filtered one lies beside them."""
+    paths = [path for path in map(Path, arguments) if path.exists()]
+    return tuple(map(str, find_superseded_files(paths)))
 
 
 def _choose_vocabulary(

@@ -3,6 +3,7 @@
 Keypoints of different files are matched to each other by what their names mean.
 """
 
+import os
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ from mocap_calib.config import (
     IntrinsicsConfig,
     Refinement,
 )
-from mocap_calib.errors import MismatchError, argument, count, visible
+from mocap_calib.errors import MismatchError, argument, count, quote_for_shell, visible
 from mocap_calib.recording.joints import match_names, normalise_name
 from mocap_calib.types import AssumedCamera, Camera, Keypoints2D, Skeleton
 
@@ -64,52 +65,107 @@ def compose_name(name: str) -> str:
 
 
 def match_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[str, ...]:
-    """Return the name of the camera that each view belongs to.
-
-    By exact name, else regardless of case and punctuation (`cam01`, `Cam_01`).
+    """Return the name of the camera that each view belongs to, as `find_names` finds it.
 
     Raises MismatchError for keypoints without a camera, and for two files of one camera.
     """
     known = [camera.name for camera in cameras]
-    alike = [_names_alike(view.camera, known) for view in views]
-    if any(len(names) != 1 for names in alike):
-        found = ", ".join(view.camera for view in views) or "none"
+    found = find_names([view.camera for view in views], known)
+    if any(len(names) != 1 for names in found):
+        listed = ", ".join(view.camera for view in views) or "none"
         raise MismatchError(
             "",
             "a camera of the same name for each keypoint file",
-            f"keypoints of {found} and cameras {', '.join(known) or 'none'}",
+            f"keypoints of {listed} and cameras {', '.join(known) or 'none'}",
             _naming_remedy(views, known),
         )
-    matched = tuple(name for names in alike for name in names)
+    matched = tuple(name for names in found for name in names)
     _check_one_file_each(views, matched)
     return matched
+
+
+def find_names(given: Sequence[str], known: Sequence[str]) -> list[list[str]]:
+    """Return the known names that each given name may mean, one where it is certain.
+
+    That is the name itself, else the name of the same letters and digits (`cam01`, `Cam_01`). Where
+    some given name is like none, it is for all of them the known one that lies where they differ
+    from each other (`10374` in `Video110374DLC`, `Video110376DLC`), the longest of these.
+    """
+    alike = [
+        [name]
+        if name in known
+        else [each for each in known if _fold_name(each) == _fold_name(name)]
+        for name in given
+    ]
+    if all(len(names) == 1 for names in alike):
+        return alike
+    folded = [_fold_name(name) for name in given]
+    first, last = (
+        len(os.path.commonprefix(names)) if len(given) > 1 else 0  # noqa: RUF071 - of letters
+        for names in (folded, [name[::-1] for name in folded])
+    )
+    taken = {name for names in alike for name in names}
+    free = [name for name in known if name not in taken]
+    return [
+        names or _names_within(name, free, first, len(name) - last)
+        for name, names in zip(folded, alike, strict=True)
+    ]
+
+
+def _names_within(name: str, known: Sequence[str], start: int, end: int) -> list[str]:
+    """Return the longest known names in a folded name that have a part from start to end.
+
+    Of numbers all digits that follow count: `cam1` is not in `cam10`.
+    """
+    found: dict[int, list[str]] = {}
+    for each in known:
+        part = _fold_name(each)
+        following = r"(?!\d)" if part[-1:].isdigit() else ""
+        places = (place.span() for place in re.finditer(re.escape(part) + following, name))
+        if part and any(low < max(end, start + 1) and high > start for low, high in places):
+            found.setdefault(len(part), []).append(each)
+    return found[max(found)] if found else []
+
+
+def describe_names(views: Sequence[Keypoints2D], matched: Sequence[str]) -> str:
+    """Return a line that says that cameras were found in longer names, "" where they were not."""
+    for view, name in zip(views, matched, strict=True):
+        if _fold_name(view.camera) != _fold_name(name):
+            return f"cameras are found where the names of files differ: {name} in {view.camera}"
+    return ""
 
 
 def _naming_remedy(views: Sequence[Keypoints2D], known: Sequence[str]) -> str:
     """Return how to name the cameras of files whose own names match none.
 
-    Where each path contains the name of one camera, that is the option that finds these names.
+    Where each path, or each name in one file, contains the name of one camera, that is the option
+    that finds these names.
     """
     if not views or not known:
         return "rename one side"
+    in_one_file = len({view.source for view in views}) < len(views)
+    texts = [view.camera if in_one_file else view.source for view in views]
     pattern = "|".join(sorted(map(re.escape, known), key=len, reverse=True))
-    named = [set(re.findall(pattern, view.source)) for view in views]
+    named = [set(re.findall(pattern, text)) for text in texts]
     cameras = {name for names in named for name in names}
     if all(len(names) == 1 for names in named) and len(cameras) == len(views):
         return f"use {argument('camera_regex', pattern)}, which finds these names in the paths"
-    nameless = next(view for view in views if len(_names_alike(view.camera, known)) != 1)
+    if in_one_file:
+        return "rename the cameras of the intrinsics as the keypoints have them"
+    like = {_fold_name(name) for name in known}
+    nameless = next((view for view in views if _fold_name(view.camera) not in like), views[0])
     taken = {_fold_name(view.camera) for view in views}
     camera = next((name for name in known if _fold_name(name) not in taken), known[0])
     return (
-        f"give files with their cameras, as {camera}={nameless.source}, or use "
-        f"{argument('camera_regex')} to find the camera names in the paths, or rename one side"
+        f"give files with their cameras, as {quote_for_shell(f'{camera}={nameless.source}')}, or "
+        f"use {argument('camera_regex')} to find the camera names in the paths, or rename one side"
     )
 
 
 def views_named(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[Keypoints2D, ...]:
     """Return the views whose name is one of the cameras', as `match_cameras` compares them."""
-    known = {_fold_name(camera.name) for camera in cameras}
-    return tuple(view for view in views if _fold_name(view.camera) in known)
+    found = find_names([view.camera for view in views], [camera.name for camera in cameras])
+    return tuple(view for view, names in zip(views, found, strict=True) if len(names) == 1)
 
 
 def views_with_detections(views: Sequence[Keypoints2D]) -> tuple[Keypoints2D, ...]:
@@ -142,7 +198,7 @@ def _check_one_file_each(views: Sequence[Keypoints2D], matched: Sequence[str]) -
                 "",
                 "one keypoint file per camera",
                 f"{' and '.join(files[:2])} for camera {name}",
-                "remove or rename one",
+                "give the files of one recording alone, remove or rename one",
             )
 
 
@@ -159,13 +215,6 @@ def _take_image_size(view: Keypoints2D, camera: Camera) -> Camera:
     """
     check_pixels(view)
     return replace(camera, size=view.image_size) if camera.size == _UNKNOWN_SIZE else camera
-
-
-def _names_alike(name: str, known: Sequence[str]) -> list[str]:
-    """Return the name itself if it is known, else the known names of its letters and digits."""
-    if name in known:
-        return [name]
-    return [each for each in known if _fold_name(each) == _fold_name(name)]
 
 
 def _fold_name(name: str) -> str:

@@ -176,22 +176,28 @@ def cameras_of(tool, folder: Path, *more: object) -> list[str] | str:
 
 
 def test_an_h5_is_preferred_to_the_csv_beside_it_and_that_is_said(tool, tmp_path):
-    """Files that are named are read, and two of one camera are refused."""
+    """So is a filtered file to the raw one. What is named alone is read."""
     for camera in "ab":
         write_folder(tmp_path, **{f"in__{camera}_csv": DLC})
         words = ("convert", f"in/{camera}.csv", f"in/{camera}.h5", "--to", "deeplabcut-h5")
         assert tool(*words, cwd=tmp_path).returncode == 0
 
     def said_of(*inputs: str) -> tuple[int, str]:
-        done = tool("convert", *inputs, "out", "--to", "openpose", cwd=tmp_path)
+        out = f"out{len(list(tmp_path.iterdir()))}"
+        done = tool("convert", *inputs, out, "--to", "openpose", cwd=tmp_path)
         return done.returncode, done.stderr
 
-    left_out = "left out, the .h5 beside it is read: in/a.csv, in/b.csv\n"
+    left_out = "left out, the .h5 or the filtered file beside it is read: in/a.csv, in/b.csv\n"
     assert left_out in said_of("in")[1]
     status, said = said_of("in/a.csv", "in/b.h5")
     assert (status, "beside" in said) == (0, False)
-    status, said = said_of("in/a.csv", "in/a.h5")
-    assert (status, "one keypoint file per camera" in said) == (1, True)
+    status, said = said_of("in/a.csv", "in/a.h5", "in/b.h5")
+    assert (status, "file beside it is read: in/a.csv\n" in said) == (0, True)
+    for name in ("in/a_filtered.h5", "in/b_filtered.csv"):
+        (tmp_path / name).write_bytes((tmp_path / name.replace("_filtered", "")).read_bytes())
+    both = "in/a.csv, in/a.h5, in/b.csv, in/b.h5\n"
+    assert both in said_of("in")[1]  # raw beside filtered
+    assert both in said_of(*(f"in/{each.name}" for each in sorted((tmp_path / "in").iterdir())))[1]
 
 
 def test_what_is_no_keypoints_beside_camera_folders_is_left_alone(tool, tmp_path):

@@ -257,7 +257,7 @@ def test_cameras_are_named_by_hand_by_pattern_or_by_folder(tmp_path):
     with pytest.raises(mc.MismatchError, match="name=path"):
         mc.read_keypoints([files[0], f"2019_Cam-A_fly={files[1]}"])
     with pytest.raises(mc.MismatchError, match="rename one side"):
-        mc.read_recording(files, [camera("a"), camera("b")])
+        mc.read_recording(files, [camera("left"), camera("right")])
     for k, path in enumerate(files):
         (tmp_path / f"cam{k}").mkdir()
         path.rename(tmp_path / f"cam{k}" / "points.json")

@@ -218,6 +218,41 @@ def test_cameras_are_matched_by_name_and_extra_ones_dropped():
     assert record(*views, cameras=cameras).names == ("RIGHT", "Left")
 
 
+@pytest.mark.parametrize(
+    ("files", "known", "found"),
+    [
+        (["Video110374DLC_x", "Video110376DLC_x"], ["10374", "10376"], ["10374", "10376"]),
+        (["1_Fly A_Cam-A_rot", "1_Fly A_Cam-B_rot"], "CBA", ["A", "B"]),
+        (
+            ["rec_cam1", "rec_cam10", "rec_cam2"],
+            ["cam10", "cam2", "cam1"],
+            ["cam1", "cam10", "cam2"],
+        ),
+        (["x_Cam_01_y", "cam02"], ["cam01", "cam02"], ["cam01", "cam02"]),
+        (["cafe\u0301_links", "cafe\u0301_mitte"], ["Mitte", "LINKS"], ["LINKS", "Mitte"]),
+        (["a1", "b1"], ["1", "2"], None),  # where they do not differ
+        (["left", "cam1"], ["cam1", "cam2"], None),
+        (["rec_cam10", "rec_cam11"], ["cam1", "cam11"], None),
+    ],
+)
+def test_cameras_are_found_where_the_names_of_files_differ(files, known, found):
+    views, cameras = [view(name) for name in files], [camera(name) for name in known]
+    if found:
+        assert match_cameras(views, cameras) == tuple(found)
+    else:
+        with pytest.raises(MismatchError):
+            match_cameras(views, cameras)
+
+
+def test_two_files_of_a_camera_are_told_apart_by_the_user():
+    days = [view(f"rat_05-0{day}_cam{k}DLC") for day in (1, 2) for k in (1, 2)]
+    with pytest.raises(MismatchError, match=r"05-01_cam1DLC.* and .*05-02_cam1DLC.*one recording"):
+        match_cameras(days, [camera("cam1"), camera("cam2")])
+    one_file = [replace(view(name), source="all.slp") for name in ("up", "down")]
+    with pytest.raises(MismatchError, match="rename the cameras of the intrinsics"):
+        match_cameras(one_file, [camera("left"), camera("right")])
+
+
 def test_a_pattern_that_joins_names_of_files_and_cameras_is_suggested_where_there_is_one():
     known = [camera(name) for name in ("cam1", "cam10", "c.2")]
 

@@ -88,7 +88,7 @@ def _inspect(typed: Typed, file: "CameraFile | None") -> dict[str, Any]:
         aliases=aliases,
         config=config,
         mends=source.mends,
-        cropped=source.options.cropped,
+        cropped=source.options.cropped(views),
     )
     report["findings"] = [
         *(_finding(str(error), critical=True) for error in errors),
