@@ -366,6 +366,8 @@ class Uncertainty(Record):
     focal_change: `[view]` what the logarithm of a given focal length would change by if it were
         free, and focal_sigma: `[view]` its standard deviation; NaN where they were estimated.
     wrong_focal: `[view]` cameras whose given focal lengths are certainly wrong.
+    aspect_turn: `[view]` radians that a camera may be turned by because images of all are squeezed:
+        what the rig changes by when a ratio f_y / f_x of all is free; aspect: what that changes by.
     mirrored: log evidence (nats) that bodies are seen in the mirror, by what the lifting network
         predicts of their depths; NaN where it predicts none.
     """
@@ -377,6 +379,8 @@ class Uncertainty(Record):
     focal_change: Floats
     focal_sigma: Floats
     wrong_focal: Bools
+    aspect_turn: Floats
+    aspect: float = 1.0
     mirrored: float = float("nan")
 
 

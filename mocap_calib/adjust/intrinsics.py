@@ -185,6 +185,44 @@ def free_focal_lengths(
     return FreeFocal(found.change[:, 0], found.sigma[:, 0], placed_as(rig, state))
 
 
+@dataclass(frozen=True)
+class FreeAspect:
+    """A rig adjusted with one free aspect, the ratio f_y / f_x, of all cameras.
+
+    change, sigma: of its logarithm. rig: its cameras are those that were given.
+    """
+
+    change: float
+    sigma: float
+    rig: CameraRig
+
+
+def free_aspect(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> FreeAspect:
+    """Return what the aspect of all images would change by if it were free, and how the rig would.
+
+    A focal length that all share is free besides. For a rig that has been adjusted with the
+    intrinsics that were given. Raises as `refine.adjust` does.
+    """
+    settings, views = IntrinsicsConfig(), len(rig)
+    problem = choose_problem(sample, rig, matches, config, points=config.uncertainty.points)
+    seen = problem.pixels(sample.cameras)
+    wide, fixed = settings.focal_uncertainty / np.sqrt(settings.overconfidence), 1e-6
+    prior = np.tile([wide, fixed, wide], (views, 1))
+    free = free_parameters(np.zeros(views, dtype=np.int64), prior)
+    state = solve(
+        problem.start(np.zeros_like(prior)),
+        seen,
+        free,
+        config.adjust,
+        last=problem.loss_scale,
+        already_close=True,
+    )
+    state = optimise_points(state, seen, loss_scale=problem.loss_scale)
+    covariance = find_covariance(problem, state, seen, free, config)
+    sigma = _sigma(covariance, free, np.full(prior.shape, settings.overconfidence))
+    return FreeAspect(float(state.intrinsics[0, 2]), float(sigma[0, 2]), placed_as(rig, state))
+
+
 def shared_intrinsics(cameras: tuple[Camera, ...], config: IntrinsicsConfig) -> Ints:
     """Return the number `[view]` of the group of cameras whose intrinsics change alike.
 

@@ -35,8 +35,8 @@ class State:
 
     rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world.
     points: `[3, N]` in world coordinates.
-    intrinsics: `[view, intrinsic]` changes of log focal length and k1, or the offset of the clock
-        in frames; none where all are known.
+    intrinsics: `[view, intrinsic]` changes of log focal length, k1 and log aspect, or the offset of
+        the clock in frames; none where all are known.
     """
 
     rotation: Floats
@@ -73,8 +73,8 @@ class Residuals:
     weight: `[view, N]`, 0 = not seen.
     metric: `[view, 2, 3, N]` turns a direction into the residual at its ray, in standard
         deviations; `[view, 2, 3, 0]` of pixels.
-    cameras: of pixels, with the intrinsics that a state changes: log focal length and, where it
-        has two intrinsics, k1. sigma: `[view]` of pixels, standard deviation of a coordinate.
+    cameras: of pixels, with the intrinsics that a state changes: as many as it has of log focal
+        length, k1 and log aspect. sigma: `[view]` of pixels, standard deviation of a coordinate.
     motion: `[2, 3, N]` velocity and acceleration, in lengths by frame, of points that move, each on
         a parabola about where it is in its own frame. The one intrinsic of a camera is then the
         offset of its clock in frames.
@@ -176,12 +176,12 @@ class Block:
 
 
 def changed_cameras(cameras: tuple[Camera, ...], intrinsics: Floats) -> tuple[Camera, ...]:
-    """Return cameras after changes `[view, intrinsic]` of log focal length and k1."""
-    changes = np.zeros((len(cameras), 2))
+    """Return cameras after changes `[view, intrinsic]` of log focal length, k1 and log aspect."""
+    changes = np.zeros((len(cameras), 3))
     changes[:, : intrinsics.shape[1]] = intrinsics
     return tuple(
-        lens.change_intrinsics(camera, log_focal=log_focal, k1=k1)
-        for camera, (log_focal, k1) in zip(cameras, changes, strict=True)
+        lens.change_intrinsics(camera, log_focal=log_focal, k1=k1, log_aspect=log_aspect)
+        for camera, (log_focal, k1, log_aspect) in zip(cameras, changes, strict=True)
     )
 
 

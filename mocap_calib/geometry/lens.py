@@ -168,14 +168,16 @@ def image_slopes(camera: Camera, image: Floats) -> Slopes:
     )
 
 
-def change_intrinsics(camera: Camera, *, log_focal: float, k1: float) -> Camera:
+def change_intrinsics(
+    camera: Camera, *, log_focal: float, k1: float, log_aspect: float = 0.0
+) -> Camera:
     """Return the camera with other intrinsics.
 
-    log_focal is added to the logarithm of both focal lengths, and k1 to the first coefficient of
-    the lens.
+    log_focal is added to the logarithm of both focal lengths, k1 to the first coefficient of the
+    lens, and log_aspect to the logarithm of f_y / f_x.
     """
     matrix = camera.matrix.copy()
-    matrix[[0, 1], [0, 1]] *= np.exp(log_focal)
+    matrix[[0, 1], [0, 1]] *= np.exp(log_focal + np.array([-0.5, 0.5]) * log_aspect)
     distortion = camera.distortion.copy()
     if not len(distortion):
         distortion = np.zeros(4 if camera.fisheye else 5)

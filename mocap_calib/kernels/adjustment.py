@@ -177,13 +177,15 @@ def _settle(given: Any, steps: int, points: Floats) -> None:
 
 @inlined
 def _set_own(lens: Floats, v: int, x: float, y: float, root: float, own: Floats) -> None:
-    """Set the weighed slopes `[2, intrinsic]` by log focal length and k1, where they may change."""
+    """Set the weighed slopes `[2, intrinsic]` by log focal length, k1 and log aspect, if free."""
     if len(lens) > 0:
         there_x, there_y, _, _, _, by_k1 = distort(lens[v], x, y)
         per_x, per_y = lens[v, 2], lens[v, 3]
         for i in range(own.shape[1]):
-            by_r = per_x * (x * by_k1 if i else there_x)
-            by_s = per_y * (y * by_k1 if i else there_y)
+            by_r = per_x * (x * by_k1 if i == 1 else there_x)
+            by_s = per_y * (y * by_k1 if i == 1 else there_y)
+            if i == 2:
+                by_r, by_s = -by_r / 2, by_s / 2
             own[0, i], own[1, i] = by_r * root, by_s * root
 
 

@@ -194,6 +194,16 @@ def resized_images(group: GroupResult, config: Config) -> Iterator[Cause]:
         yield Cause("resized", name, turn, meaning, "state the size of the images")
 
 
+def squeezed_images(group: GroupResult) -> Iterator[Cause]:
+    """Yield that the images of all cameras may be squeezed against their intrinsics."""
+    turn, aspect = np.rad2deg(group.uncertainty.aspect_turn.max()), group.uncertainty.aspect
+    if turn:
+        meaning = f"the images of all cameras may be squeezed by {aspect:.2f} in height against "
+        meaning += "their intrinsics"
+        remedy = f"check the ratio of width and height, or use {argument('resized')}"
+        yield Cause("aspect", "", float(turn), meaning, remedy)
+
+
 def likely_scale(
     cameras: Sequence[Camera], pixels: Sequence[Floats], config: UncertaintyConfig
 ) -> tuple[float, float]:

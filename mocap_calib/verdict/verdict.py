@@ -17,7 +17,13 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.adjust.covariance import rig_covariance
-from mocap_calib.adjust.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
+from mocap_calib.adjust.intrinsics import (
+    FreeAspect,
+    FreeFocal,
+    free_aspect,
+    free_focal_lengths,
+    shared_intrinsics,
+)
 from mocap_calib.adjust.refine import (
     adjust_once,
     find_outlier_cameras,
@@ -65,6 +71,7 @@ from mocap_calib.verdict.causes import (
     mirrored_world,
     other_answers,
     resized_images,
+    squeezed_images,
     uncertain_cameras,
     uncertain_principal_points,
     unchecked_by_a_third_camera,
@@ -104,6 +111,7 @@ def assess(
         *other_answers(group),
         *unchecked_by_a_third_camera(group, config),
         *resized_images(group, config),
+        *squeezed_images(group),
     ]
     causes.sort(key=lambda cause: -cause.error_deg)
     return Verdict(expected_error(group.rig.names, causes), tuple(causes), checks)
@@ -223,12 +231,15 @@ def assess_uncertainty(
     free = _free_focal(sample, rig, matches, config)
     off = uncertain_focal_changes(sample, rig, matches, config)
     if free is not None:
-        off = np.concatenate([off, given_focal_change(rig, free, config.uncertainty)[None]])
+        off = np.concatenate([off, given_change(rig, free, config.uncertainty)[None]])
     change, sigma = np.full((2, len(rig.cameras)), np.nan)
     # what was estimated is not found to be wrong
     if free is not None and not any(isinstance(each, EstimatedCamera) for each in rig.cameras):
         stated = np.nan_to_num(focal_sigmas(rig.cameras, config.uncertainty))
         change, sigma = free.change, np.hypot(free.sigma, stated)
+    aspect, squeezed = _free_aspect(sample, rig, matches, config), np.zeros((len(rig), POSE))
+    if aspect is not None:
+        squeezed = given_change(rig, aspect, config.uncertainty)
     tells = len(labelled_frames(matches)) >= config.uncertainty.time_blocks
     return Uncertainty(
         covariance=covariance.with_changes(off),
@@ -238,6 +249,8 @@ def assess_uncertainty(
         focal_change=change,
         focal_sigma=sigma,
         wrong_focal=find_wrong_focal(change, sigma, config) & tells,
+        aspect_turn=np.linalg.norm(squeezed[:, :3], axis=1),
+        aspect=float(np.exp(aspect.change)) if aspect is not None else 1.0,
     )
 
 
@@ -258,13 +271,23 @@ def _free_focal(
         return None
 
 
-def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfig) -> Floats:
-    """Return by how much `[view, 6]` cameras may be off because of focal lengths held fixed.
+def _free_aspect(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> FreeAspect | None:
+    """Return the rig with a free aspect of all images, None where nothing goes with it."""
+    try:
+        return free_aspect(sample, rig, matches, config)
+    except DegenerateError:
+        return None
+
+
+def given_change(rig: CameraRig, free: FreeFocal | FreeAspect, config: UncertaintyConfig) -> Floats:
+    """Return by how much `[view, 6]` cameras may be off because of intrinsics held fixed.
 
     What the rig changes by when they are free, less what right ones change by: chance, and what is
-    wrong with detections beside it. Of the mean square of the changes of focal length, in standard
-    deviations of both, that is 1. Efron and Morris 1973: "Stein's Estimation Rule and Its
-    Competitors", the positive-part rule. Those of stated uncertainty are known as well as stated.
+    wrong with detections beside it. Of the mean square of the changes of focal length or of aspect,
+    in standard deviations of both, that is 1. Efron and Morris 1973: "Stein's Estimation Rule and
+    Its Competitors", the positive-part rule. Those of stated uncertainty are known as well.
     """
     usual = np.hypot(free.sigma, config.focal_systematic)
     given = np.array([not isinstance(camera, EstimatedCamera) for camera in rig.cameras])

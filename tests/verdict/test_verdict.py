@@ -91,6 +91,7 @@ def uncertainty(
         focal_change=np.zeros(views),
         focal_sigma=np.ones(views),
         wrong_focal=none,
+        aspect_turn=np.zeros(views),
     )
 
 
