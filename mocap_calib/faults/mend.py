@@ -23,9 +23,10 @@ from mocap_calib.faults.all_cameras import find_upward_axes
 from mocap_calib.faults.compare import Alternative, find_faulty_cameras
 from mocap_calib.faults.hypotheses import clock_faults, describe
 from mocap_calib.faults.image_sizes import alternative_images, combine_corrections
-from mocap_calib.faults.leave_one_out import hold_each
+from mocap_calib.faults.leave_one_out import hold_each, worst_camera
 from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.recording.corrections import Exchanged, Sides, apply_mends
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.results import VERDICTS, CalibrationResult, Clocks, Fault, GroupResult, Mend
 from mocap_calib.rig import Observed
 from mocap_calib.types import CameraClock, Floats, Recording
@@ -52,7 +53,8 @@ def mend_faults(
 
     Where correcting is forbidden the corrections are tried all the same, as they show which of
     several alternatives is right; the result stays that of the input as it is. It does as well, and
-    nothing is named, where the corrected rig is not determined: faults rest on the others.
+    nothing is named, where the corrected rig is not determined: faults rest on the others. One
+    camera that spoils such a rig is left out.
 
     recording: as it was handed in. calibrated: what was found of it. calibrate: finds the same of
         a recording that was corrected.
@@ -89,8 +91,33 @@ def mend_faults(
         known, calibrated = (*known, *new), recalibrated
     result = replace(calibrated[1], faults=combine_corrections(recording.corrected, known))
     if judge(result).groups[0].verdict == VERDICTS[-1]:
-        return replace(given, faults=recording.corrected)
+        return _without_worst(recording, replace(given, faults=recording.corrected), calibrate)
     return result
+
+
+def _without_worst(
+    recording: Recording, given: CalibrationResult, calibrate: Calibrate
+) -> CalibrationResult:
+    """Return what is found without the camera of the largest errors, where that is far surer.
+
+    It may be of another recording, or tie groups to each other that share nothing else.
+    """
+    group = given.groups[0]
+    worst = worst_camera(group, given.config) if len(group.rig) > 2 else None
+    if worst is None:
+        return given
+    name = own_name(group.rig.names[worst], recording.names)
+    others = [view for view, other in enumerate(recording.names) if other != name]
+    try:
+        _, rest = calibrate(recording.select(views=others))
+    except DegenerateError:
+        return given
+    before, after = (
+        [group.assessment.error_deg for group in judge(result).groups] for result in (given, rest)
+    )
+    if max(after) > before[0] / 2:
+        return given
+    return replace(rest, faults=given.faults, left_out=(*rest.left_out, name))
 
 
 def _choose_images(

@@ -192,6 +192,19 @@ def test_a_rig_of_mirrored_images_is_not_determined():
     assert result.groups[0].verdict == "not determined"
 
 
+def test_a_bad_camera_that_alone_links_two_groups_is_left_out():
+    """Three see the first half, three others the second, one both, with its joints 60 px off."""
+    given, true = plain(cameras=7)
+    positions, rng = given.positions.copy(), np.random.default_rng(0)
+    positions[:3, FRAMES // 2 :], positions[4:, : FRAMES // 2] = np.nan, np.nan
+    positions[3] += rng.normal(0, 60, positions[3].shape[-2:])
+    result = calibrate_all(replace(given, positions=positions))
+    assert result.left_out == (given.names[3],)
+    assert [group.rig.names for group in result.groups] == [given.names[:3], given.names[4:]]
+    for group, members in zip(result.groups, (np.arange(3), np.arange(4, 7)), strict=True):
+        assert rotation_errors_deg(group.rig, true.select(members)).max() < 2.0
+
+
 def test_of_two_cameras_none_is_named():
     """Neither of exchanged sides nor of having moved."""
     given, _ = plain(cameras=2)
