@@ -51,6 +51,7 @@ KEYPOINTS = {
     "deeplabcut-h5": Keypoints(written=True, ordered=True),
     "deeplabcut-h5-fixed": Keypoints("deeplabcut-h5"),
     "dltdv": Keypoints(individuals=1, scores=False, camera="cam1"),
+    "freemocap-2d": Keypoints(individuals=1, named=False, scores=False, camera="cam_0"),
     "jarvis-2d": Keypoints("csv-wide", individuals=1),
     "label3d": Keypoints(individuals=1, named=False, scores=False),
     "mmpose": Keypoints(tracked=False),
@@ -66,6 +67,9 @@ KEYPOINTS = {
     "sleap-csv-points": Keypoints("sleap-csv"),
     "sleap-slp": Keypoints(),
     "superanimal": Keypoints(named=False, tracked=False),
+    "ultralytics-csv": Keypoints("ultralytics-images", named=False, tracked=False),
+    "ultralytics-images": Keypoints(named=False, tracked=False),
+    "ultralytics-json": Keypoints(named=False),
     "ultralytics": Keypoints(named=False, tracked=False, sized=True, pixels=False),
 }
 

@@ -24,6 +24,7 @@ from mocap_calib.io.formats import (
     deeplabcut,
     deeplabcut_h5,
     dltdv,
+    freemocap,
     mmpose,
     movement,
     nwb,
@@ -32,6 +33,7 @@ from mocap_calib.io.formats import (
     sleap_csv,
     tables,
     ultralytics,
+    ultralytics_results,
     wide_tables,
 )
 from mocap_calib.io.read_options import ReadOptions, apply_offsets, convert_to_pixels, split_views
@@ -46,6 +48,8 @@ KEYPOINT_FORMATS = FormatTable(
         mmpose.IMAGES,
         mmpose.VIDEO,
         deeplabcut.SUPERANIMAL,
+        ultralytics_results.IMAGES,
+        ultralytics_results.VIDEO,
         coco.RESULTS,
         coco.ALPHAPOSE,
         deeplabcut_h5.HDF5,
@@ -54,6 +58,7 @@ KEYPOINT_FORMATS = FormatTable(
         movement.KEYPOINTS,
         nwb.KEYPOINTS,
         dannce.KEYPOINTS,
+        freemocap.FORMAT,
         deeplabcut.CSV,
         sleap_csv.FORMAT,
         tables.CALISCOPE,
@@ -63,7 +68,7 @@ KEYPOINT_FORMATS = FormatTable(
         ultralytics.FORMAT,
     ),
 )
-FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat")
+FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat", ".npy")
 SUFFIXES = (*FOLDER_SUFFIXES, ".txt")  # the last only where there is nothing else
 _FILTERED = "_filtered"  # end of the names of files of DeepLabCut's filterpredictions
 _REMEDY = "export one of these (docs/formats.md)"

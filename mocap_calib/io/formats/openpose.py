@@ -25,8 +25,11 @@ from mocap_calib.io.format import Format
 from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.types import Bools, Floats, Keypoints2D
 
-# OpenPose's, or AlphaPose's, only layouts of their length
-_LAYOUTS = ("coco_18", "mpi_15", "body_135", "halpe_136", "coco_wholebody_133")
+# the only layouts of their length of OpenPose, AlphaPose, and what Pose2Sim writes in this format
+_LAYOUTS = (
+    *("coco_18", "mpi_15", "body_135", "halpe_136", "coco_wholebody_133"),
+    *("blazepose_33", "openpose_134"),
+)
 _VERSION = 1.3
 _DIGITS = 12  # of a frame number in a file name
 
