@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mocap_calib.errors import one_line
 from mocap_calib.io.detections import check_cameras, check_size, make_view
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import Origin
@@ -56,8 +57,8 @@ def _load(document: Document) -> Floats:
     expected = "an array [camera, frame, point, 2 or 3] of pixels"
     try:
         array = np.load(io.BytesIO(document.content), allow_pickle=False)
-    except (ValueError, OSError, EOFError, MemoryError) as error:
-        raise document.refuse(expected, f"an error ({error})") from None
+    except Exception as error:  # numpy raises whatever damage of the header leads to
+        raise document.refuse(expected, f"an error ({one_line(error)})") from None
     if array.ndim != _AXES or array.shape[-1] not in (2, 3) or array.dtype.kind not in "fiu":
         raise document.refuse(expected, f"{array.shape} of {array.dtype}")
     return array.astype(np.float64)
