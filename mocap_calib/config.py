@@ -661,6 +661,7 @@ class FilterConfig:
 # pixels, and larger ones are of another image; below the second they are on another scale
 LARGEST_SHARE = 1.5
 LEAST_SHARE = -0.25
+FAR_OUTSIDE = 3.0  # sizes of the image beyond its border: a detector cannot mean such a position
 
 # When two files have the same detections (recording/synchronise.py). In the shared recordings no
 # detection of one camera was within a pixel of another camera's in all its keypoints.

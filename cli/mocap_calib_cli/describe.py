@@ -38,6 +38,11 @@ def describe_recording(summary: RecordingSummary) -> list[str]:
         *keep_lines({summary.naming: summary.naming}),
         *summary.corrected,
         *summary.filled_in,
+        *(
+            f"{camera}: {count(points, 'keypoint')} more than three image sizes outside of its "
+            "images, taken as missing"
+            for camera, points in summary.far_points.items()
+        ),
         *keep_lines(cases),
         *describe_ignored_files(summary.ignored_files),
     ]

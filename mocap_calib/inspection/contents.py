@@ -9,6 +9,7 @@ import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.geometry.rotation import mean_of_known
+from mocap_calib.recording.far_points import without_far_points
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.names import find_names, keypoint_meanings
 from mocap_calib.recording.sampling import evenly_spaced
@@ -91,15 +92,19 @@ def inspect_views(
 def fill_image_sizes(
     views: Sequence[Keypoints2D], cameras: Sequence[Camera]
 ) -> tuple[Keypoints2D, ...]:
-    """Return the views, with the image sizes of the cameras of their names where they have none."""
+    """Return the views, with the image sizes of the cameras of their names where they have none.
+
+    Points far outside of images are missing.
+    """
     sizes = {camera.name: camera.size for camera in cameras}
     found = find_names([view.camera for view in views], list(sizes))
-    return tuple(
+    sized = (
         replace(view, image_size=sizes[names[0]])
         if view.image_size == (0, 0) and len(names) == 1
         else view
         for view, names in zip(views, found, strict=True)
     )
+    return tuple(without_far_points(view, view.image_size) for view in sized)
 
 
 def seen_points(view: Keypoints2D) -> Bools:

@@ -199,7 +199,8 @@ def _copy(view: Keypoints2D, kind: DTypeLike) -> Keypoints2D:
     """Return the view with arrays of a type, copied block by block; long ones lie on disk."""
 
     def copied(array: Reals) -> Reals:
-        return mapped.in_blocks(lambda block: array[block].astype(kind), len(array))
+        cast = np.errstate(over="ignore")(lambda block: array[block].astype(kind))  # to infinity
+        return mapped.in_blocks(cast, len(array))
 
     return replace(view, positions=copied(view.positions), confidence=copied(view.confidence))
 

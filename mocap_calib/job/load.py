@@ -14,6 +14,7 @@ from mocap_calib.io.filled_table import describe_filled
 from mocap_calib.io.keypoints import find_superseded_files, read_keypoints
 from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.lift.lifter import load_vocabulary
+from mocap_calib.recording.far_points import count_far_points, largest_size
 from mocap_calib.recording.image_sizes import join_sized
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.names import (
@@ -58,6 +59,7 @@ class RecordingSummary:
     unknown_cameras: names of keypoint files that no camera of the rig belongs to.
     corrected: a line for each camera whose intrinsics are for images of another size.
     naming: a line that says that cameras were found in longer names, "" where they were not.
+    far_points: camera -> number of its points that lie far outside of its images, and are missing.
     """
 
     cameras: tuple[CameraSummary, ...]
@@ -75,6 +77,7 @@ class RecordingSummary:
     unknown_cameras: tuple[str, ...]
     corrected: tuple[str, ...]
     naming: str
+    far_points: Mapping[str, int]
 
     @property
     def known(self) -> int:
@@ -157,9 +160,15 @@ def load_recording(
     recording = join_sized(views, cameras, skeleton, aliases, mends=source.mends, cropped=cropped)
     recording = replace(recording, model=source.model or skeleton.name)
     used = views_with_detections(views)
+    named = dict(zip(match_cameras(views, cameras), views, strict=True))
+    far = {
+        each.name: count_far_points(view, largest_size(view, each))
+        for each in cameras
+        if (view := named.get(each.name)) is not None
+    }
     found = {
         name: CameraSummary(name, view.source, len(view.frames), _count_detections(view))
-        for view, name in zip(views, match_cameras(views, cameras), strict=True)
+        for name, view in named.items()
     }
     names = [camera.name for camera in cameras]
     joints = zip(recording.keypoints, recording.vocabulary, strict=True)
@@ -179,6 +188,7 @@ def load_recording(
         unknown_cameras=unknown,
         corrected=describe_corrected(recording),
         naming=describe_names(views, match_cameras(views, cameras)),
+        far_points={name: points for name, points in far.items() if points},
     )
     return LoadedRecording(recording, summary)
 

@@ -21,6 +21,7 @@ from mocap_calib.recording.corrections import (
     Rotated,
     apply_mends,
 )
+from mocap_calib.recording.far_points import without_far_points
 from mocap_calib.recording.names import match_cameras
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.results import Fault, Mend
@@ -107,7 +108,7 @@ def _compare_sizes(view: Keypoints2D, camera: Camera, size: Size) -> tuple[Fault
         mends = propose_corrections(camera.name, given, size)
         found = f"images of {_text(size)}"
     else:
-        x, y = _reach(view)
+        x, y = _reach(without_far_points(view, given))
         if x <= LARGEST_SHARE * given[0] and y <= LARGEST_SHARE * given[1]:
             return ()
         if x > LARGEST_SHARE * given[1] or y > LARGEST_SHARE * given[0]:

@@ -22,6 +22,7 @@ from mocap_calib.config import (
     Refinement,
 )
 from mocap_calib.errors import MismatchError, argument, count, quote_for_shell, visible
+from mocap_calib.recording.far_points import largest_size, without_far_points
 from mocap_calib.recording.joints import match_names, normalise_name
 from mocap_calib.types import AssumedCamera, Camera, Keypoints2D, Skeleton
 
@@ -33,7 +34,8 @@ def pair_with_cameras(
 ) -> tuple[tuple[Keypoints2D, ...], tuple[Camera, ...]]:
     """Return the views with detections in the order of the cameras, and their cameras.
 
-    Cameras without an image size take that of their file.
+    Cameras without an image size take that of their file. Points that lie far outside of images
+    are missing, see `count_far_points`.
 
     Raises MismatchError as `match_cameras` does, and for fewer than two cameras with detections.
     """
@@ -51,8 +53,8 @@ def pair_with_cameras(
             f"those of {len(pairs)} ({found})",
             "add the other keypoint files",
         )
-    sized = tuple(map_in_threads(lambda pair: _take_image_size(*pair), pairs))
-    return tuple(view for view, _ in pairs), sized
+    fitted = list(map_in_threads(lambda pair: _fit_to_image(*pair), pairs))
+    return tuple(view for view, _ in fitted), tuple(camera for _, camera in fitted)
 
 
 def compose_name(name: str) -> str:
@@ -185,6 +187,15 @@ def check_pixels(view: Keypoints2D) -> None:
             f"none above {LARGEST_SHARE}",
             f"use {argument('image_size', 'WIDTHxHEIGHT')} if they are shares of the image",
         )
+
+
+def _fit_to_image(view: Keypoints2D, camera: Camera) -> tuple[Keypoints2D, Camera]:
+    """Return the view without points far outside of its images, and its camera with their size.
+
+    Raises MismatchError as `_take_image_size` does.
+    """
+    cleared = without_far_points(view, largest_size(view, camera))
+    return cleared, _take_image_size(cleared, camera)
 
 
 def _check_one_file_each(views: Sequence[Keypoints2D], matched: Sequence[str]) -> None:

@@ -153,7 +153,8 @@ def _fill_arrays(
             row = np.searchsorted(view.frames, frames[block]).clip(max=len(view.frames) - 1)
             at = np.flatnonzero(view.frames[row] == frames[block])
             rows, of_view = mapped.as_slice(row[at]), mapped.as_slice(used)
-            seen = view.positions[rows][:, :, of_view].astype(np.float32)
+            with np.errstate(over="ignore"):  # infinity is missing
+                seen = view.positions[rows][:, :, of_view].astype(np.float32)
             scaled = (view.confidence[rows][:, :, of_view] / largest).clip(0.0, 1.0)
             known = np.isfinite(seen).all(-1) & ~find_repeated(seen)[..., None]
             place = np.ix_(at, np.arange(seen.shape[1]), np.array(columns)[used])

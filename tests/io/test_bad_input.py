@@ -8,6 +8,7 @@ import os
 import re
 import unicodedata
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -431,6 +432,54 @@ def test_a_name_that_no_file_can_hold_is_refused_where_it_is_read(kind, name, tm
         read()
     assert str(refused.value).isprintable()
     assert re.search("without NUL, found .*; rename|expected UTF-8 text", str(refused.value))
+
+
+FAR = {"border": 2560.0, "beyond": 2561.0, "below": -1921.0, "huge": 1e300, "infinite": np.inf}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [SIZE, (0, 0)], ids=["size", "no size"])
+@pytest.mark.parametrize("case", FAR)
+def test_points_far_outside_of_images_are_missing_and_counted(case, size, tmp_path):
+    """More than three sizes of 640 pixels; where the size is not known, what no 32 bits hold."""
+    is_far = case != "border" if any(size) else abs(FAR[case]) > 1e299
+    views, cleared = [], []
+    for name in "ab":
+        points = np.random.default_rng(ord(name)).uniform(5, 400, (20, 1, 4, 2))
+        made = replace(view(name, points, np.full((20, 1, 4), 0.5)), image_size=size)
+        points[3:6, 0, 1, 0] = FAR[case]
+        views.append(replace(made, positions=points.copy()))
+        score = np.full((20, 1, 4), 0.5)
+        if is_far:
+            points[3:6, 0, 1], score[3:6, 0, 1] = np.nan, 0.0
+        cleared.append(replace(made, positions=points, confidence=score))
+    cameras = [camera(name, size) for name in "ab"]
+    found = mc.Recording.from_keypoints(views, cameras)
+    assert found == mc.Recording.from_keypoints(cleared, cameras)
+    if any(size) and case == "huge":
+        mc.write(views, tmp_path / "k", "csv")
+        done = call("run", "k", "--image-size", "640x480", "-o", "out", folder=tmp_path)
+        said = "keypoints more than three image sizes outside of its images, taken as missing"
+        assert {f"{name}: 3 {said}" for name in "ab"} <= set(done.stderr)
+        done = call("inspect", "k", "--image-size", "640x480", folder=tmp_path)
+        assert b"missing by far outside of the image: 3" in done.stdout
+
+
+def test_positions_of_another_image_are_refused_not_missing():
+    """Where most of them lie far outside, they are of another size."""
+    views = [
+        replace(
+            view(
+                name,
+                points := np.random.default_rng(k).uniform(3e3, 9e3, (20, 1, 4, 2)),
+                np.full(points.shape[:3], 0.5),
+            ),
+            image_size=(0, 0),
+        )
+        for k, name in enumerate("ab")
+    ]
+    with pytest.raises(mc.MismatchError, match=r"found (detections|keypoints) at"):
+        mc.Recording.from_keypoints(views, [camera(name) for name in "ab"])
 
 
 @linux

@@ -71,11 +71,13 @@ def _inspect(typed: Typed, file: "CameraFile | None") -> dict[str, Any]:
     from mocap_calib.inspection.problems import find_problems
     from mocap_calib.io.filled_table import describe_filled
     from mocap_calib.io.keypoints import read_what_can
+    from mocap_calib.recording.far_points import without_far_points
     from mocap_calib.recording.joints import fit_vocabulary
     from mocap_calib_cli import inputs
 
     config, source = InspectConfig(), inputs.keypoint_source(typed)
-    views, errors = read_what_can(typed.keypoints, typed.format, source.options)
+    read, errors = read_what_can(typed.keypoints, typed.format, source.options)
+    views = tuple(without_far_points(view, view.image_size) for view in read)
     cameras, notes = (file.cameras, file.notes) if file else ((), ())
     names = (name for view in views for name in view.keypoints)
     skeleton, aliases = fit_vocabulary(names, typed.skeleton)
