@@ -37,6 +37,7 @@ def describe_recording(summary: RecordingSummary) -> list[str]:
         *format_table(["camera", "keypoints", "frames", "detections"], rows),
         *keep_lines({summary.naming: summary.naming}),
         *summary.corrected,
+        *summary.remarks,
         *summary.filled_in,
         *(
             f"{camera}: {count(points, 'keypoint')} more than three image sizes outside of its "

@@ -142,10 +142,19 @@ def load_cameras(
     """
     document = as_document(path)
     if document.given is None and document.path.is_dir():
-        return _load_folder(document.path, format, unit)
+        return _say_lensless(_load_folder(document.path, format, unit), document.source)
     if found := name_media(document.path):
         raise document.refuse(CAMERA_FORMATS.expected, found, _REMEDY)
-    return load_document(document, format, unit)
+    return _say_lensless(load_document(document, format, unit), document.source)
+
+
+def _say_lensless(found: CameraFile, source: str) -> CameraFile:
+    """Return what a source holds, with a note of the cameras whose lens it does not state."""
+    if not found.lensless:
+        return found
+    cameras = ", ".join(found.lensless)
+    note = f"{source}: no lens distortion recognised for {cameras}: taken as none"
+    return replace(found, notes=(note, *found.notes), lensless=())
 
 
 def load_document(document: Document, format: str | None, unit: str | None) -> CameraFile:
@@ -154,7 +163,9 @@ def load_document(document: Document, format: str | None, unit: str | None) -> C
     if format is not None and not document.is_folder:
         document = replace(document, format=format)
     known = guard_hdf5(document, CAMERA_FORMATS.require, document, format, _REMEDY)
-    return _complete(known.reader()(document), known, document, unit)
+    found, unused = known.read_noted(document)
+    found = replace(found, notes=(*found.notes, *unused))
+    return _complete(found, known, document, unit)
 
 
 def looks_like_cameras(path: Path | bytes) -> bool:
@@ -194,7 +205,8 @@ def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile
         cameras=_unique((camera for each in parts for camera in each.cameras), str(path)),
         extrinsics={name: given for each in parts for name, given in each.extrinsics.items()},
         unit=units[0],
-        notes=tuple(note for each in parts for note in each.notes),
+        notes=tuple(dict.fromkeys(note for each in parts for note in each.notes)),
+        lensless=tuple(name for each in parts for name in each.lensless),
         judgement=judged if all(each.judgement == judged for each in parts) else {},
     )
 

@@ -36,6 +36,7 @@ Extrinsics = tuple[Floats, Floats]
 class CameraFile:
     """What a source holds.
 
+    lensless: names of the cameras whose lens the file does not state.
     extrinsics: camera name -> `[3, 3]` rotation and `[3]` translation of cam_from_world, for the
         cameras that have them.
     unit: of the lengths, "" where the file does not state it.
@@ -55,6 +56,7 @@ class CameraFile:
     points: ObservedPoints = field(default_factory=ObservedPoints.none)
     clocks: tuple[CameraClock, ...] = ()
     world: World = field(default_factory=World)
+    lensless: tuple[str, ...] = ()
 
 
 # --- for readers
@@ -66,7 +68,9 @@ class RawCamera:
 
     Numbers are nested lists, or a mapping of `rows`, `cols` and `data` as OpenCV and ROS write it.
 
-    matrix: 3 x 3 numbers, row after row, or fx, fy, cx and cy. distortion: in OpenCV's order.
+    matrix: 3 x 3 numbers, row after row, or fx, fy, cx and cy.
+    distortion: in OpenCV's order; empty where a file states that there is none, None where it
+        states nothing.
     size: (width, height) in pixels, None or (None, None) where it is not known.
     rotation: 3 x 3 numbers, or a vector of 3, of cam_from_world. translation: 3 numbers; or centre:
         3 numbers in world coordinates. There are no extrinsics where rotation, or both of these,
@@ -122,7 +126,8 @@ def collect_cameras(
 
     Raises FormatError.
     """
-    placed = [raw.check(source) for raw in found]
+    raws = list(found)
+    placed = [raw.check(source) for raw in raws]
     return CameraFile(
         cameras=tuple(camera for camera, _ in placed),
         extrinsics={camera.name: given for camera, given in placed if given is not None},
@@ -130,6 +135,7 @@ def collect_cameras(
         notes=tuple(notes),
         judgement=read_judgement(provenance),
         points=points or ObservedPoints.none(),
+        lensless=tuple(str(raw.name) for raw in raws if raw.distortion is None),
     )
 
 
@@ -143,7 +149,7 @@ def entries(tree: Any, source: str, *keys: str) -> list[tuple[str, dict[str, Any
     found = typed(named, dict[Any, dict[str, Any]], source, expected)
     for name, fields in found.items():
         need(fields, keys, f"{source}: camera {name}")
-    return [(str(name), fields) for name, fields in found.items()]
+    return [(str(name), fields) for name, fields in named.items()]  # which note what is asked for
 
 
 def pick(fields: Mapping[str, Any], **keys: str | tuple[str, ...]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from mocap_calib.io.camera_files import (
     write_cameras,
 )
 from mocap_calib.io.cameras import CameraFile
+from mocap_calib.io.detections import collect_remarks
 from mocap_calib.io.document import NAMELESS
 from mocap_calib.io.format import ending_of
 from mocap_calib.io.keypoints import format_keypoints, read_keypoints, write_keypoints
@@ -37,7 +38,6 @@ from mocap_calib.io.poses import PoseFile, convert_unit, turn_up_axis
 from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.io.units import ARBITRARY, unit_factor
 from mocap_calib.recording.names import check_pixels
-from mocap_calib.types import Keypoints2D
 
 _OWN_CAMERAS = "cameras.yaml"  # in the folder of a run
 
@@ -179,7 +179,7 @@ def convert_keypoints(
         check_pixels(view)
     frames = sum(len(view.frames) for view in views)
     summary = f"{count(len(views), 'camera')}, {count(frames, 'frame')} as {to}"
-    notes = _collect_remarks(views)
+    notes = collect_remarks(views)
     if output is None:
         written = format_keypoints(views, to)
         return Conversion(summary, notes, written.lost, written.files)
@@ -269,15 +269,3 @@ def _fill_rate(file: PoseFile, fps: float | None, source: str) -> PoseFile:
         expected = f"{file.rate:g} frames per second, as the file says"
         raise MismatchError(source, expected, argument("fps", f"{fps:g}"), "leave it out")
     return replace(file, rate=fps)
-
-
-# --- keypoints
-
-
-def _collect_remarks(views: Sequence[Keypoints2D]) -> tuple[str, ...]:
-    """Return what the readers remark, each line once, with the cameras that it is of."""
-    cameras: dict[str, list[str]] = {}
-    for view in views:
-        for remark in view.remarks:
-            cameras.setdefault(remark, []).append(view.camera)
-    return tuple(f"{', '.join(names)}: {remark}" for remark, names in cameras.items())

@@ -305,6 +305,15 @@ def view_of_frames(
     return make_view(document.origin, names, numbers, values, **further)
 
 
+def collect_remarks(views: Views) -> tuple[str, ...]:
+    """Return what the readers remark, each line once, with the cameras that it is of."""
+    cameras: dict[str, list[str]] = {}
+    for view in views:
+        for remark in view.remarks:
+            cameras.setdefault(remark, []).append(view.camera)
+    return tuple(f"{', '.join(names)}: {remark}" for remark, names in cameras.items())
+
+
 # --- what a format may have no place for
 
 

@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -19,8 +19,9 @@ from xml.etree import ElementTree
 import msgspec
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.account import Account, Fields, record_fields
 from mocap_calib.io.file import Origin, decode, is_utf16, opened, read_bytes
-from mocap_calib.io.hdf5 import DAMAGE, HDF5, damage_refused
+from mocap_calib.io.hdf5 import DAMAGE, HDF5, damage_refused, open_noted
 from mocap_calib.io.syntax import is_toml, parse
 
 # beginnings of files that hold something else around what is wanted: what they are, what to do
@@ -59,6 +60,7 @@ class Document:
     members: the files of a folder, by name.
     camera: the name that the path gives, or the user (`named`).
     format: name of the format, "" where the content is of none; None where nobody has looked yet.
+    account: of the numbers in its files, which is that of all documents made of this one.
     """
 
     path: Path
@@ -67,6 +69,7 @@ class Document:
     camera: str = ""
     named: bool = False
     format: str | None = None
+    account: Account = field(default_factory=Account, compare=False, repr=False)
 
     @property
     def source(self) -> str:
@@ -95,11 +98,12 @@ class Document:
 
     def of(self, name: str) -> "Document":
         """Return one file of the folder."""
-        return Document(self.path / name)
+        return Document(self.path / name, account=self.account)
 
     def documents(self) -> Iterator["Document"]:
         """Return all files, one in memory at a time."""
-        return map(Document, self.members) if self.members else iter((self,))
+        each = (Document(member, account=self.account) for member in self.members)
+        return each if self.members else iter((self,))
 
     def refuse(self, expected: str, found: object, remedy: str = "export it again") -> FormatError:
         """Return the refusal of the file."""
@@ -242,7 +246,7 @@ class Document:
         """The text parsed by its syntax; each key occurs once."""
         if self.syntax in ("folder", "binary"):
             raise self.refuse("text", f"a {self.syntax}", "name another format")
-        return parse(self.text, self.syntax, self.source)
+        return self.account.add(parse(self.text, self.syntax, self.source))
 
     def mapping(self, *keys: str) -> dict[str, Any]:
         """Return the tree, which is a mapping with the keys."""
@@ -291,6 +295,8 @@ class Document:
         """Return the JSON as records. Raises FormatError with the place in the file."""
         if self.json is None:
             raise self.refuse("JSON", self.describe()[0], "export it again, or remove it")
+        self.account.add_numbers(self.json)
+        self.account.asked |= record_fields(kind)
         return typed(self.json, kind, self.source)
 
     @cached_property
@@ -316,11 +322,9 @@ class Document:
         """The content as an open HDF5 file; None where it is none."""
         if not self.is_hdf5:
             return None
-        import h5py  # noqa: PLC0415 - a tenth of the time that reading any .csv takes
-
         try:
             start, is_all = self._read
-            return h5py.File(io.BytesIO(start) if is_all else self.file, "r", locking=False)
+            return open_noted(io.BytesIO(start) if is_all else self.file, self.account)
         except DAMAGE as error:
             raise self.refuse("a whole HDF5 file", f"an error ({error})", _DAMAGED) from None
 
@@ -376,6 +380,8 @@ def typed(tree: Any, kind: type[T], source: str, expected: str = "") -> T:
 
     expected: what the records are, for a refusal; numbers may be text then, as in YAML.
     """
+    if isinstance(tree, Fields):
+        tree.asked |= record_fields(kind)
     try:
         return msgspec.convert(tree, kind, strict=not expected)
     except (msgspec.ValidationError, TypeError, OverflowError) as error:

@@ -52,6 +52,8 @@ class Format:
     followed: its individuals are followed by definition: several detections that nobody follows
         are refused (keypoints).
     loses: what the format has no place for (keypoints, poses; writers of cameras return it).
+    passed_over: names of fields, columns and data sets that say nothing of what is read: numbers
+        under any other name that its reader does not ask for are reported (`Account`).
     """
 
     name: str
@@ -73,6 +75,7 @@ class Format:
     extra: str = ""
     points: bool = False
     loses: tuple[Loss, ...] = ()
+    passed_over: tuple[str, ...] = ()
 
     def lost(self, records: Any) -> tuple[str, ...]:
         """Return what of the records the format has no place for, in words."""
@@ -86,6 +89,15 @@ class Format:
                 self.name, "a format that is read", "one that is only written", remedy
             )
         return self.read
+
+    def read_noted(self, document: Document, *options: Any) -> tuple[Any, tuple[str, ...]]:
+        """Return the records of a document, and a remark on its numbers that were not used.
+
+        Raises what its reader raises.
+        """
+        document.account.asked.clear()  # by those that looked for its format
+        records = self.reader()(document, *options)
+        return records, document.account.describe(self.passed_over)
 
     def writer(self) -> Callable[..., Any]:
         """Return what writes the format.

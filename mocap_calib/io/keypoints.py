@@ -175,7 +175,8 @@ def _read(document: Document, format: str | None, options: ReadOptions) -> tuple
     """Read the cameras in a document. Raises FormatError and MismatchError."""
     source = document.source
     known = KEYPOINT_FORMATS.require(document, format, _REMEDY)
-    views: tuple[Keypoints2D, ...] = known.reader()(document, options)
+    views, unused = known.read_noted(document, options)
+    views = tuple(replace(view, remarks=(*view.remarks, *unused)) for view in views)
     check_cameras([view.camera for view in views], source)
     if document.named:
         if len(views) > 1:
@@ -309,7 +310,7 @@ def _of_files(folder: Path, format: str | None) -> list[Document]:
         Document(
             file,
             camera=_stem(file),
-            format=frames.format if file.absolute() == frames.file else None,
+            format=(frames.format or None) if file.absolute() == frames.file else None,
         )
         for file in sorted({*files} - {*find_superseded_files(files)})
     ]

@@ -14,10 +14,11 @@ have a decimal comma, in all cells of a file or in none. `NA` and its like are e
 
 import csv
 import io
+import re
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 
 import msgspec
 import numpy as np
@@ -29,6 +30,8 @@ from mocap_calib.io.file import are_whole
 from mocap_calib.types import Bools, Floats, Ints
 
 Column = int | str  # its index, or its heading
+# the heading of a column of row numbers: of pandas and R, and of pandas' own file read again
+ROW_NUMBERS = re.compile(r"|index|unnamed: *\d+")
 _PIECE = 1 << 17  # numbers: some are under way on each thread, of 25 characters each
 _ROWS = msgspec.json.Decoder(list[list[float]])
 _NUMBERS = msgspec.json.Decoder(list[float])
@@ -100,6 +103,13 @@ def read_table(
         places |= {heading: place for place, heading in enumerate(headings)}
     text_places = {column: places[column] for column in texts if column in places}
     number_places = [places.get(column, width) for column in numbers]
+    labels = [[row[place : place + 1] for _, row in header] for place in range(width)]
+    used = {*text_places.values(), *number_places}
+    left = ("_".join(filter(None, chain(*labels[place]))) for place in {*range(width)} - used)
+    names = (name.strip() for name in left)
+    document.account.add_names(
+        (name for name in names if not ROW_NUMBERS.fullmatch(name.casefold())), "columns"
+    )
     values, is_all = np.empty((0, width)), False
     is_plain = [*text_places.values(), *number_places] == list(range(width))
     if is_plain and len(text_places) == 1 and document.separator == ",":

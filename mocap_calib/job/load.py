@@ -10,6 +10,7 @@ from mocap_calib import mapped
 from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.faults.hypotheses import describe_corrected
 from mocap_calib.io.cameras import CameraFile
+from mocap_calib.io.detections import collect_remarks
 from mocap_calib.io.filled_table import describe_filled
 from mocap_calib.io.keypoints import find_superseded_files, read_keypoints
 from mocap_calib.io.read_options import ReadOptions
@@ -60,6 +61,7 @@ class RecordingSummary:
     corrected: a line for each camera whose intrinsics are for images of another size.
     naming: a line that says that cameras were found in longer names, "" where they were not.
     far_points: camera -> number of its points that lie far outside of its images, and are missing.
+    remarks: of the readers of keypoints, a line each.
     """
 
     cameras: tuple[CameraSummary, ...]
@@ -78,6 +80,7 @@ class RecordingSummary:
     corrected: tuple[str, ...]
     naming: str
     far_points: Mapping[str, int]
+    remarks: tuple[str, ...]
 
     @property
     def known(self) -> int:
@@ -189,6 +192,7 @@ def load_recording(
         corrected=describe_corrected(recording),
         naming=describe_names(views, match_cameras(views, cameras)),
         far_points={name: points for name, points in far.items() if points},
+        remarks=collect_remarks(views),
     )
     return LoadedRecording(recording, summary)
 

@@ -39,6 +39,11 @@ from mocap_calib.types import Camera, CameraRig, EstimatedCamera, PosedCamera
 
 # sections that Pose2Sim passes over
 _NOT_CAMERAS = ("metadata", "capture_volume", "charuco", "checkerboard")
+# beside the cameras, and of a camera: caliscope's, and FreeMoCap's pose a second time
+_PASSED_OVER = (
+    *(*_NOT_CAMERAS, "cam_id", "port", "ignore", "error", "grid_count", "exposure"),
+    *("index", "world_orientation", "world_position"),
+)
 _CAMERA_NAMES = (
     rf"(?s:(?!(?:{'|'.join(_NOT_CAMERAS)})$).*)",
     f"other words than {', '.join(_NOT_CAMERAS)}",
@@ -270,6 +275,7 @@ CALISCOPE = Format(
     title="caliscope camera_array.toml",
     sniff=partial(_has_section, key="cam_id", below="cameras"),
     read=read,
+    passed_over=_PASSED_OVER,
     write=write_caliscope,
     unit="m",
 )
@@ -278,6 +284,7 @@ FREEMOCAP = Format(
     title="FreeMoCap calibration.toml",
     sniff=partial(_has_section, key="world_position"),
     read=read,
+    passed_over=_PASSED_OVER,
     write=write_freemocap,
     unit="mm",
 )
@@ -286,6 +293,7 @@ POSE2SIM = Format(
     title="Pose2Sim Calib.toml",
     sniff=sniff_pose2sim,
     read=read,
+    passed_over=_PASSED_OVER,
     write=write_pose2sim,
     unit="m",
 )
@@ -294,6 +302,7 @@ ANIPOSE = Format(
     title="anipose calibration.toml",
     sniff=partial(Document.has, syntax="toml"),
     read=read,
+    passed_over=_PASSED_OVER,
     write=write_anipose,
     endings=(".toml",),
 )

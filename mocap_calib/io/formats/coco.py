@@ -47,6 +47,11 @@ _ROBOFLOW = re.compile(r"(_(?:png|jpe?g|bmp))?\.rf\.[0-9a-f]{8,}(?=\.\w+$)")  # 
 _ALPHAPOSE_LAYOUTS = ("halpe_26", "halpe_136", "coco_wholebody_133")
 _LOSSLESS = (9, 9)  # decimals of positions and confidences, to the last digit that matters
 
+_PASSED_OVER = (  # boxes, outlines, and what is said of the data set
+    *("info", "licenses", "license", "id", "category_id", "skeleton", "num_keypoints"),
+    *("bbox", "box", "area", "segmentation", "iscrowd", "score"),
+)
+
 Id = int | float | str | None
 
 
@@ -327,6 +332,7 @@ ANNOTATIONS = Format(
     sniff=sniff,
     read=read,
     write=write,
+    passed_over=_PASSED_OVER,
     endings=(".json",),
     loses=(FOLLOWED, SCORES),
 )
@@ -392,10 +398,12 @@ RESULTS = Format(
     title="COCO results .json",
     sniff=sniff_results,
     read=read_results,
+    passed_over=_PASSED_OVER,
 )
 ALPHAPOSE = Format(
     name="alphapose",
     title="AlphaPose .json",
     sniff=sniff_alphapose,
     read=read_alphapose,
+    passed_over=_PASSED_OVER,
 )

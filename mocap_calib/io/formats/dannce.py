@@ -37,6 +37,12 @@ from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 _REMEDY = "save it again, for MATLAB 7 (save -v7)"
 _VARIABLES = ("camnames", "labelData")
+_NUMERIC = (
+    "double",
+    "single",
+    "logical",
+    *(f"{u}int{b}" for u in ("", "u") for b in (8, 16, 32, 64)),
+)
 _FIELDS = ("K", "RDistort", "TDistort", "r", "t")
 _MOST_SKEW = 1e-2  # of the focal length: what MATLAB estimates where there is only noise
 _ONE_CAMERA_STEM = r"(?:hires_)?(?P<camera>.+?)(?:_params)?"
@@ -190,7 +196,7 @@ def write_cameras(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
 
 
 def read_mat(document: Document, wanted: tuple[str, ...]) -> dict[str, Any]:
-    """Return the variables of these names.
+    """Return the variables of these names, and 0 for other numbers.
 
     They are arrays, text, lists for cells, and lists of dictionaries for structs (both in MATLAB's
     order); None for functions and objects.
@@ -199,7 +205,7 @@ def read_mat(document: Document, wanted: tuple[str, ...]) -> dict[str, Any]:
     """
     if document.content.startswith(b"MATLAB 7.3"):
         raise document.refuse("a .mat file of version 7 or below", "version 7.3", _REMEDY)
-    return guard(
+    found = guard(
         _load_mat,
         document.content,
         wanted,
@@ -210,15 +216,18 @@ def read_mat(document: Document, wanted: tuple[str, ...]) -> dict[str, Any]:
         size=len(document.content),
         packed=False,
     )
+    return cast(dict[str, Any], document.account.add(found))
 
 
 def _load_mat(content: bytes, wanted: tuple[str, ...], source: str) -> dict[str, Any]:
     """Read the variables in the process that is for it."""
-    from scipy.io import loadmat  # noqa: PLC0415 - takes 0.2 s
+    from scipy.io import loadmat, whosmat  # noqa: PLC0415 - takes 0.2 s
 
     try:
+        listed = whosmat(cast(Any, io.BytesIO(content)))
+        others = {name: 0 for name, _, kind in listed if kind in _NUMERIC and name not in wanted}
         found = loadmat(cast(Any, io.BytesIO(content)), variable_names=wanted)
-        return {name: _simplify(found[name]) for name in wanted if name in found}
+        return others | {name: _simplify(found[name]) for name in wanted if name in found}
     except MemoryError:
         raise
     except Exception as error:  # scipy raises whatever damage leads to

@@ -37,7 +37,6 @@ from mocap_calib.io.detections import (
     view_of_frames,
 )
 from mocap_calib.io.document import Document
-from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format
 from mocap_calib.io.read_options import ReadOptions
 from mocap_calib.io.table import read_rows, read_table
@@ -77,13 +76,15 @@ class LabelledTable:
     row_name: Callable[[int], str]
 
 
-def view_of_table(table: LabelledTable, origin: Origin) -> Keypoints2D:
+def view_of_table(table: LabelledTable, document: Document) -> Keypoints2D:
     """Return the detections of a table: one instance per individual, in the order of the columns.
 
     The pseudo-individual `single` is left out when it shares no body part with the others.
     Raises FormatError.
     """
-    columns = _columns_by_label(table, origin.source)
+    origin = document.origin
+    columns, unknown = _columns_by_label(table, origin.source)
+    document.account.add_names(unknown, "columns")
     names = list(dict.fromkeys(name for name, _ in columns))
     others = {part for name, part in columns if name != _UNIQUE}
     unique = {part for name, part in columns if name == _UNIQUE}
@@ -118,16 +119,23 @@ def view_of_table(table: LabelledTable, origin: Origin) -> Keypoints2D:
     )
 
 
-def _columns_by_label(table: LabelledTable, source: str) -> dict[tuple[str, str], dict[str, int]]:
-    """Return (individual, body part) -> coordinate -> column. Raises FormatError."""
+def _columns_by_label(
+    table: LabelledTable, source: str
+) -> tuple[dict[tuple[str, str], dict[str, int]], list[str]]:
+    """Return (individual, body part) -> coordinate -> column, and coordinates that are not known.
+
+    Raises FormatError.
+    """
     levels = set(table.levels)
     if not {"bodyparts", "coords"} <= levels or not levels <= set(LEVELS):
         found = ", ".join(table.levels) or "none"
         raise FormatError(source, f"header rows among {', '.join(LEVELS)}", found, _AGAIN)
     columns: dict[tuple[str, str], dict[str, int]] = {}
+    others: list[str] = []
     for column, labels in enumerate(table.columns):
         label = dict(zip(table.levels, labels, strict=True))
-        if _SPREAD.fullmatch(label["coords"]):
+        if label["coords"] not in (*_COORDS, "z"):
+            others += [] if _SPREAD.fullmatch(label["coords"]) else [label["coords"]]
             continue
         column_of = columns.setdefault((label.get("individuals", ""), label["bodyparts"]), {})
         if label["coords"] in column_of:
@@ -139,10 +147,11 @@ def _columns_by_label(table: LabelledTable, source: str) -> dict[tuple[str, str]
         expected, remedy = "2D keypoints (x, y, likelihood)", "give the 2D file of each camera"
         raise FormatError(source, expected, "3D ones (x, y, z)", remedy)
     all_have_positions = all({"x", "y"} <= column_of.keys() for column_of in columns.values())
-    if not columns or not all_have_positions or not coords <= set(_COORDS):
+    if not columns or not all_have_positions:
         expected = "columns x, y and perhaps likelihood for each body part"
-        raise FormatError(source, expected, ", ".join(sorted(coords)) or "none", _AGAIN)
-    return columns
+        found = ", ".join(sorted({*coords, *others})) or "none"
+        raise FormatError(source, expected, found, _AGAIN)
+    return columns, others
 
 
 def _frame_numbers(rows: Sequence[str], source: str) -> Ints:
@@ -214,7 +223,7 @@ def read_csv(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...
         values=table.numbers,
         row_name=lambda row: f"row {table.lines[row]} ({table.text(first - 1)[row]})",
     )
-    return (view_of_table(labelled, document.origin),)
+    return (view_of_table(labelled, document),)
 
 
 def write_csv(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
@@ -237,6 +246,7 @@ CSV = Format(
     title="DeepLabCut and Lightning Pose .csv",
     sniff=sniff_csv,
     read=read_csv,
+    passed_over=("set",),
     write=write_csv,
     endings=(".csv",),
     followed=True,
@@ -269,4 +279,5 @@ SUPERANIMAL = Format(
     title="DeepLabCut SuperAnimal .json",
     sniff=sniff_superanimal,
     read=read_superanimal,
+    passed_over=("bboxes", "bbox_scores"),
 )

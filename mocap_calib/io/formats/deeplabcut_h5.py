@@ -65,7 +65,7 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """
     with damage_refused(document.source, "a whole DeepLabCut .h5", _CSV_INSTEAD):
         table = _read_table(document)
-    return (view_of_table(table, document.origin),)
+    return (view_of_table(table, document),)
 
 
 def _read_table(document: Document) -> LabelledTable:

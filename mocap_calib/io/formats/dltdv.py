@@ -143,7 +143,9 @@ def _decompose(projection: Floats, name: str, source: str) -> tuple[RawCamera, f
     moved = skew_in_pixels(matrix)
     matrix = matrix * [[1, 0, 1], [0, 1, 1], [0, 0, 1]]
     matrix[2] = [0, 0, 1]
-    raw = RawCamera(name=name, matrix=matrix, rotation=rotation, translation=translation)
+    raw = RawCamera(
+        name=name, matrix=matrix, distortion=(), rotation=rotation, translation=translation
+    )
     return raw, moved if moved > _SEEN else 0.0
 
 

@@ -140,7 +140,9 @@ def read_four_d(document: Document) -> CameraFile:
         pose = numbers(each["RT"], "12 numbers RT", f"{document.source}: camera {name}", 12)
         rotation, translation = np.split(pose.reshape(3, 4), [3], axis=1)
         keys = {"size": each["imgSize"], "matrix": each["K"]}
-        raws.append(RawCamera(name=name, **keys, rotation=rotation, translation=translation))
+        raws.append(
+            RawCamera(name=name, **keys, distortion=(), rotation=rotation, translation=translation)
+        )
     return collect_cameras(raws, document.source)
 
 
@@ -185,7 +187,7 @@ def read_multiview_calib(document: Document) -> CameraFile:
     if file is not None:
         poses = document.of(file)
         for name, pose in entries(poses.tree, poses.source, "R", "t"):
-            views[name] = views.get(name, {}) | pose
+            views[name] = views[name] | pose if name in views else pose
     raws = []
     for name, view in views.items():
         found = camera_fields(view, f"{document.source}: camera {name}")
@@ -221,7 +223,7 @@ _FOLDER = "images/"
 
 def read_nerfstudio(document: Document) -> CameraFile:
     """Read the frames as cameras, called after their images. Raises FormatError."""
-    shared = dict(document.mapping("frames"))
+    shared = document.mapping("frames")
     raws = [
         _read_frame(shared | {"file_path": number} | frame, f"{document.source}: frame {number}")
         for number, frame in entries(shared["frames"], document.source, "transform_matrix")
@@ -290,6 +292,7 @@ PANOPTIC = Format(
     title="CMU Panoptic JSON",
     sniff=partial(Document.has_entry, keys=["distCoef"]),
     read=read_panoptic,
+    passed_over=("panel", "node", "provenance"),
     write=write_panoptic,
     unit="cm",
 )
@@ -322,5 +325,9 @@ NERFSTUDIO = Format(
     title="nerfstudio transforms.json",
     sniff=partial(Document.has_entry, keys=["transform_matrix"]),
     read=read_nerfstudio,
+    passed_over=(
+        *("camera_angle_x", "camera_angle_y", "aabb_scale", "scale", "offset", "sharpness"),
+        *("applied_transform", "applied_scale", "colmap_im_id", "provenance"),
+    ),
     write=write_nerfstudio,
 )

@@ -48,4 +48,5 @@ FORMAT = Format(
     title="MC-Calib calibrated_cameras_data.yml",
     sniff=partial(Document.has_line, pattern=r"^nb_camera\s*:"),
     read=read,
+    passed_over=("nb_camera",),
 )

@@ -19,6 +19,8 @@ from mocap_calib.types import Keypoints2D
 
 _LAYOUTS = ("coco_wholebody_133", "halpe_136")  # its only ones of their length
 
+_PASSED_OVER = ("bbox", "bbox_score", "bbox_scores", "meta_info")
+
 
 class _Instance(msgspec.Struct):
     keypoints: list[tuple[float | None, float | None]]
@@ -93,6 +95,7 @@ IMAGES = Format(
     title="MMPose .json of images, a folder per camera",
     sniff=sniff_image,
     read=read_images,
+    passed_over=_PASSED_OVER,
     per_frame=True,
 )
 VIDEO = Format(
@@ -100,4 +103,5 @@ VIDEO = Format(
     title="MMPose and RTMPose .json of a video",
     sniff=sniff_video,
     read=read_video,
+    passed_over=_PASSED_OVER,
 )

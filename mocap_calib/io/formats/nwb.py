@@ -20,7 +20,7 @@ from mocap_calib.io.detections import blank, make_view
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import LARGEST_EXACT_FLOAT, Origin
 from mocap_calib.io.format import Format, Loss
-from mocap_calib.io.hdf5 import array, damage_refused, keys, names, opened_hdf5, text
+from mocap_calib.io.hdf5 import array, damage_refused, holds_numbers, keys, names, opened_hdf5, text
 from mocap_calib.io.poses import (
     COVARIANCES,
     ERRORS,
@@ -39,6 +39,8 @@ from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "write it with ndx-pose again"
 _DEPTH = 6  # how far below the top poses are looked for
+# data sets of a PoseEstimation and of its series
+_KNOWN = ("dimensions", "edges", "data", "confidence", "timestamps", "starting_time")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _NAMES = r"[^/:\x00-\x1f\ud800-\udfff]*[^/:\s\x00-\x1f\ud800-\udfff]"
 _SESSION = Loss("when the session was: 1970-01-01 is written", bool)
@@ -71,6 +73,9 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         groups = _groups_of_type(file, "PoseEstimation")
         if not groups:
             raise FormatError(source, "a PoseEstimation of ndx-pose", "none", "give another file")
+        for group in (*groups, *(series for each in groups for series in _series(each).values())):
+            items = {str(name): group[name] for name in group if str(name) not in _KNOWN}
+            document.account.add_names(name for name in items if holds_numbers(items[name]))
         if len(groups) == 1:
             return (_view(groups[0], document.origin),)
         return tuple(_view(group, Origin(_name(group), source)) for group in groups)
@@ -80,7 +85,7 @@ def _view(group: Any, origin: Origin) -> Keypoints2D:
     """Return the camera of a PoseEstimation. Raises FormatError."""
     source = f"{origin.source}: {group.name}"
     _check_one_video(group, source)
-    series_of = {_name(child): child for child in _groups_of_type(group, "PoseEstimationSeries", 1)}
+    series_of = _series(group)
     values = _values(series_of, source)
     frames, rate = frame_numbers_and_rate(next(iter(series_of.values())), source)
     if len(frames) != len(values):
@@ -95,6 +100,11 @@ def _view(group: Any, origin: Origin) -> Keypoints2D:
         image_size=_image_size(group, source),
         remarks=(counted,),
     )
+
+
+def _series(group: Any) -> dict[str, Any]:
+    """Return the series of a PoseEstimation: name of the keypoint -> series."""
+    return {_name(child): child for child in _groups_of_type(group, "PoseEstimationSeries", 1)}
 
 
 def _check_one_video(group: Any, source: str) -> None:

@@ -54,6 +54,7 @@ def read(document: Document) -> CameraFile:
         raise document.refuse("a pickle of OpenCap", error) from None
     if not isinstance(data, dict) or not {*_KEYS[:3]} <= data.keys():
         raise document.refuse(", ".join(_KEYS[:3]), "another pickle")
+    data = document.account.add(data)
     used = [key for key in _KEYS if data.get(key) is not None]
     arrays = {key: numbers(data[key], key, document.source) for key in used}
     raw = RawCamera(
@@ -72,5 +73,6 @@ FORMAT = Format(
     title="OpenCap camera .pickle",
     sniff=sniff,
     read=read,
+    passed_over=("rotation_EulerAngles",),
     unit="mm",
 )

@@ -42,6 +42,12 @@ from mocap_calib.io.document import Document, describe_names, need, typed
 from mocap_calib.io.format import Format, Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
+# what OpenCV's calibration program and scripts say of how they calibrated
+_OF_CALIBRATION = (
+    *("nframes", "nr_of_frames", "board_width", "board_height", "square_size", "marker_size"),
+    *("flags", "aspectRatio", "avg_reprojection_error", "per_view_reprojection_errors"),
+    *("extrinsic_parameters", "image_points", "grid_points", "rms", "reprojection_error"),
+)
 _INTRINSICS, _EXTRINSICS = "intri.yml", "extri.yml"
 
 
@@ -157,6 +163,7 @@ def read_easymocap(document: Document) -> CameraFile:
     fields = intrinsics.mapping("names")
     names = typed(fields["names"], list[str], intrinsics.source, "a list of names")
     need(fields, [f"K_{name}" for name in names], intrinsics.source)
+    intrinsics.account.asked |= {f"R_{name}" for name in names}  # as Rot_ has it
     places = document.of(_EXTRINSICS).mapping() if _EXTRINSICS in document.names else {}
     raws = [
         RawCamera(
@@ -282,6 +289,7 @@ KALIBR = Format(
     title="Kalibr camchain",
     sniff=partial(Document.has_line, pattern=r"^\s+intrinsics\s*:"),
     read=read_kalibr,
+    passed_over=("cam_overlaps", "T_cam_imu", "timeshift_cam_imu"),
     unit="m",
 )
 ROS = Format(
@@ -289,12 +297,17 @@ ROS = Format(
     title="ROS camera_info",
     sniff=partial(Document.has_line, pattern=r"(?s)\A(?!.*!!opencv-matrix).*^distortion_model\s*:"),
     read=read_ros,
+    passed_over=(
+        *("rectification_matrix", "projection_matrix", "R", "P", "r", "p"),
+        *("header", "binning_x", "binning_y", "roi"),
+    ),
 )
 OPENCV = Format(
     name="opencv",
     title="OpenCV YAML",
     sniff=sniff_opencv,
     read=read_opencv,
+    passed_over=_OF_CALIBRATION,
     write=write_opencv,
     folder=True,
 )

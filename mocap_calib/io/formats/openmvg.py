@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.io.account import Fields
 from mocap_calib.io.cameras import (
     CameraFile,
     RawCamera,
@@ -108,7 +109,8 @@ def read(document: Document) -> CameraFile:
         model = models.get(found.polymorphic_id % _FIRST_TIME, "unknown")
         pose = poses.get(view.id_pose, _Pose(None, None))
         where = f"{document.source}: view {item.key}"
-        lens = _read_intrinsics(model, found.ptr_wrapper.data, where)
+        fields = Fields(found.ptr_wrapper.data, document.account.asked)
+        lens = _read_intrinsics(model, fields, where)
         raws.append(RawCamera(name=name, rotation=pose.rotation, centre=pose.center, **lens))
     return collect_cameras(
         raws, document.source, unit=file.unit, notes=notes, provenance=file.provenance
@@ -204,5 +206,6 @@ FORMAT = Format(
     title="OpenMVG sfm_data.json",
     sniff=partial(Document.has, syntax="json", keys=["sfm_data_version", "views", "intrinsics"]),
     read=read,
+    passed_over=("provenance", "structure", "control_points", "id", "id_view", "polymorphic_id"),
     write=write,
 )

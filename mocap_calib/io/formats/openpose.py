@@ -114,6 +114,7 @@ FORMAT = Format(
     title="OpenPose .json, a folder per camera",
     sniff=sniff,
     read=read,
+    passed_over=("version", "person_id"),
     write=write,
     per_frame=True,
     loses=(NAMES, FOLLOWED, SIZES, SCORES),

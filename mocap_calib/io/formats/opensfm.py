@@ -83,4 +83,9 @@ FORMAT = Format(
     title="OpenSfM reconstruction.json",
     sniff=sniff,
     read=read,
+    passed_over=(
+        *("orientation", "capture_time", "gps_dop", "gps_position", "compass", "scale", "vertices"),
+        *("merge_cc", "covariance", "points", "biases", "reference_lla", "rig_cameras"),
+        *("rig_instances", "faces", "normals", "colors"),
+    ),
 )

@@ -59,7 +59,7 @@ class _Camera(msgspec.Struct):
             name=str(self.name),
             size=self.size,
             matrix=self.K,
-            distortion=None if self.model == "pinhole" else self.distortion,
+            distortion=() if self.model == "pinhole" else self.distortion,
             fisheye=self.model == "fisheye",
             rotation=self.R,
             translation=self.t,
@@ -253,6 +253,7 @@ FORMAT = Format(
     title="mocap-calib cameras.yaml",
     sniff=sniff,
     read=read,
+    passed_over=("provenance", "world", "centre", "centre_sigma", SUBFRAME),
     write=write,
     endings=(".yaml", ".yml"),
 )

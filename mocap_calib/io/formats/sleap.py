@@ -151,6 +151,7 @@ ANALYSIS = Format(
     title="SLEAP analysis .h5",
     sniff=sniff,
     read=read,
+    passed_over=("instance_scores", "tracking_scores", "track_occupancy", "edge_inds", "video_ind"),
     write=write,
     endings=(".h5",),
     loses=(SIZES, GAPS, SCORES),

@@ -114,4 +114,5 @@ FORMAT = Format(
     title="SLEAP and sleap-io .csv",
     sniff=sniff,
     read=read,
+    passed_over=("score", "track_score", "tracking_score", "instance_score"),
 )

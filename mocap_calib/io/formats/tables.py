@@ -30,12 +30,10 @@ from mocap_calib.io.document import Document
 from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format
 from mocap_calib.io.read_options import ReadOptions
-from mocap_calib.io.table import read_table
+from mocap_calib.io.table import ROW_NUMBERS, read_table
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _NEEDED = {"frame", "keypoint", "x", "y"}
-# the heading of a column of row numbers: of pandas and R, and of pandas' own file read again
-ROW_NUMBERS = re.compile(r"|index|unnamed: *\d+")
 _KNOWN = ("camera", "frame", "individual", "instance", "keypoint", "x", "y", "score")
 
 
@@ -150,7 +148,7 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     if missing := [name for name in _KNOWN if name in _NEEDED - names]:
         expected = f"the columns {','.join(_KNOWN)}"
         raise document.refuse(f"a column {missing[0]} among {expected}", found, "add it")
-    if not names <= set(_KNOWN) or {"individual", "instance"} <= names:
+    if "z" in names or {"individual", "instance"} <= names:
         among = "(individual or instance; camera, they and score may be absent)"
         expected = f"the columns {','.join(_KNOWN)} {among}"
         raise document.refuse(expected, found, "rename or remove columns")
@@ -259,4 +257,5 @@ CALISCOPE = Format(
     title="caliscope .csv",
     sniff=sniff_caliscope,
     read=read_caliscope,
+    passed_over=("obj_loc_x", "obj_loc_y", "obj_loc_z", "frame_index", "frame_time"),
 )

@@ -49,7 +49,10 @@ def read(document: Document, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         raise document.refuse("the names of its keypoints", found, layout_remedy(counts))
     rows = {each.path.name: list(_rows(each)) for each in document.documents()}
     widths = [_widths(len(numbers), count) for of_file in rows.values() for _, numbers in of_file]
+    longest = max((len(numbers) for of_file in rows.values() for _, numbers in of_file), default=0)
     width = 2 if sum(2 in each for each in widths) > sum(3 in each for each in widths) else 3
+    if longest - width * count == max(_BEHIND):
+        document.account.add_names(["track"], "columns")
     view = view_of_frames(
         document,
         options,

@@ -142,6 +142,7 @@ IMAGES = Format(
     title="Ultralytics to_json() or to_csv() of images, a folder per camera",
     sniff=sniff_image,
     read=read_images,
+    passed_over=("class", "confidence", "box"),
     per_frame=True,
 )
 VIDEO = Format(
@@ -149,4 +150,5 @@ VIDEO = Format(
     title="Ultralytics to_json() of a video",
     sniff=sniff_video,
     read=read_video,
+    passed_over=("class", "confidence", "box"),
 )

@@ -10,7 +10,7 @@ keypoints of one body (`Nose_1`, `Nose_2`).
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -20,16 +20,14 @@ from mocap_calib.io.detections import frame_number, make_view
 from mocap_calib.io.document import Document
 from mocap_calib.io.file import Origin
 from mocap_calib.io.format import Format
-from mocap_calib.io.formats.tables import ROW_NUMBERS
 from mocap_calib.io.read_options import ReadOptions, choose_layout
-from mocap_calib.io.table import Table, read_rows, read_table
+from mocap_calib.io.table import ROW_NUMBERS, Table, read_rows, read_table
 from mocap_calib.types import Ints, Keypoints2D
 
 _SCORES = "likelihood|confidence|conf|score|probability|prob|visibility|p|c|v"
 _PART = re.compile(rf"(?i)(?P<x>x)|(?P<y>y)|(?P<z>z)|(?P<score>{_SCORES})")
 _LABEL = re.compile(rf"(?i)(?P<name>.+)[_. :/-](?P<part>{_PART.pattern.removeprefix('(?i)')})")
 _FRAME = re.compile(r"(?i)(video|image|img)?[_ ]?frames?[_ ]?(idx|index|number|num|nr|no|id)?")
-_LISTED = 5  # columns in a remark
 NO_FRAMES = "no frame numbers in the file: its first row is frame 0"
 
 # (camera, keypoint) -> x, y or score -> column
@@ -108,8 +106,7 @@ def views_of_columns(
     order = [parts.get(part, -1) for parts in columns.values() for part in ("x", "y", "score")]
     table = read_table(document, texts=frames_at, numbers=order, header_rows=header.rows)
     values = table.numbers.reshape(len(table.lines), 1, -1, 3)
-    left = [header.labels[place] for place in others if place not in {*frames_at, *unnamed}]
-    remarks = tuple(_remarks(bool(frames_at), left))
+    remarks = () if frames_at else (NO_FRAMES,)
     cameras, names = (np.array(each, dtype=object) for each in zip(*columns, strict=True))
     return tuple(
         make_view(
@@ -135,15 +132,6 @@ def _frames(table: Table, frames_at: Sequence[int]) -> Ints:
         row = numbers.index(-1)
         raise table.refuse(row, "a frame number", repr(cells[row]), "correct the column")
     return np.array(numbers, dtype=np.int64)
-
-
-def _remarks(has_frames: bool, left: Sequence[str]) -> Iterator[str]:
-    """Yield what a user should know of the columns."""
-    if not has_frames:
-        yield NO_FRAMES
-    if left:
-        more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""
-        yield f"columns not used: {', '.join(left[:_LISTED])}{more}"
 
 
 FORMAT = Format(
