@@ -395,9 +395,11 @@ def describe_clock(
     within = known.any() and abs(offset[known][0]) <= window
     if rate == 1.0 and not offset[known].any() and known.any():
         return CameraClock(camera, "in step" if sure else "not known", evidence=found)
-    if not (found["gain"] >= DECISIVE_NATS and (sure or not constant) and within):
+    table = _table(timing, view, numbers) if known.any() else ()
+    # each further row gains by chance (Akaike 1974)
+    enough = found["gain"] >= DECISIVE_NATS + max(0, len(table) - 2)
+    if not (enough and (sure or not constant) and within):
         return CameraClock(camera, "not known", evidence=found)
-    table = _table(timing, view, numbers)
     kind: ClockKind = "clock" if constant else "dropped"
     kind = kind if rate == 1.0 else "rate"
     return CameraClock(camera, kind, table[0][1], rate, table, found)

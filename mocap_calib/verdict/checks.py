@@ -87,8 +87,8 @@ class Look:
 
 
 def convergence(look: Look) -> float:
-    """Return by how much a camera turned in the last round of adjusting and matching."""
-    return look.group.adjusted.turn_deg
+    """Return by how much a camera would turn in as many rounds again, each like the last one."""
+    return look.group.adjusted.rounds * look.group.adjusted.turn_deg
 
 
 # Of each camera
@@ -180,8 +180,8 @@ def check_rig(group: GroupResult, config: Config) -> tuple[Cause, ...]:
 CHECKS = (
     CheckKind(
         "convergence",
-        "turn of a camera in the last round of adjusting and matching",
-        "a camera turned by {value:.1f} deg in the last round of adjusting and matching",
+        "turn of a camera in the last round of adjusting and matching, times the rounds",
+        "adjusting and matching did not converge: a camera may still turn by {value:.1f} deg",
         "look for a camera with large errors, and record longer",
         convergence,
     ),
