@@ -100,10 +100,12 @@ def _without_worst(
 ) -> CalibrationResult:
     """Return what is found without the camera of the largest errors, where that is far surer.
 
-    It may be of another recording, or tie groups to each other that share nothing else.
+    It may be of another recording, or tie groups to each other that share nothing else. The input
+    stays as it is where it is not to be corrected, and where clocks are not: it may be late.
     """
-    group = given.groups[0]
-    worst = worst_camera(group, given.config) if len(group.rig) > 2 else None
+    group, config = given.groups[0], given.config
+    corrects = config.mend.apply and config.sync.mode == "auto"
+    worst = worst_camera(group, config) if corrects and len(group.rig) > 2 else None
     if worst is None:
         return given
     name = own_name(group.rig.names[worst], recording.names)

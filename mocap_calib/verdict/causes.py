@@ -108,7 +108,7 @@ def left_open(
         # the rig bends to a camera that is wrong: it is off by more than its detections show
         yield Cause("inconsistent", name, OPEN_DEG * float(np.linalg.norm(shown)), meaning, remedy)
     for clock in () if clocks is None or clocks.changed else clocks.cameras:
-        if clock.differs:
+        if clock.differs and clock.camera in own:
             meaning = f"{clock.camera}: it is on another clock, which was not corrected"
             remedy = f"use {argument('sync', 'auto')}"
             yield Cause("clock", clock.camera, OPEN_DEG, meaning, remedy)

@@ -150,7 +150,7 @@ def test_a_camera_that_turns_has_lost_no_frames():
     group = result.groups[0]
     kept = [group.rig.names.index(given.names[view]) for view in sound]
     assert rotation_errors_deg(group.rig.select(kept), true.select(sound)).max() < 1.0
-    assert group.verdict != "well determined"
+    assert group.verdict != "well determined" or given.names[ODD] in result.left_out
 
 
 @pytest.mark.parametrize("late", [0, 40])
