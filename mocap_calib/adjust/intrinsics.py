@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from mocap_calib.adjust.covariance import Covariance, find_covariance
-from mocap_calib.adjust.problem import choose_problem, free_parameters, solve
+from mocap_calib.adjust.problem import Problem, choose_problem, free_parameters, solve
 from mocap_calib.adjust.refine import placed_as
 from mocap_calib.adjust.residuals import State, changed_cameras
 from mocap_calib.adjust.solve import Parameters, optimise_points
@@ -205,20 +205,11 @@ def free_aspect(sample: Sample, rig: CameraRig, matches: Matches, config: Config
     """
     settings, views = IntrinsicsConfig(), len(rig)
     problem = choose_problem(sample, rig, matches, config, points=config.uncertainty.points)
-    seen = problem.pixels(sample.cameras)
     wide, fixed = settings.focal_uncertainty / np.sqrt(settings.overconfidence), 1e-6
     prior = np.tile([wide, fixed, wide], (views, 1))
     free = free_parameters(np.zeros(views, dtype=np.int64), prior)
-    state = solve(
-        problem.start(np.zeros_like(prior)),
-        seen,
-        free,
-        config.adjust,
-        last=problem.loss_scale,
-        already_close=True,
-    )
-    state = optimise_points(state, seen, loss_scale=problem.loss_scale)
-    covariance = find_covariance(problem, state, seen, free, config)
+    none = np.zeros_like(prior)
+    state, covariance = _minimum(problem, none, sample.cameras, free, config, already_close=True)
     sigma = _sigma(covariance, free, np.full(prior.shape, settings.overconfidence))
     return FreeAspect(float(state.intrinsics[0, 2]), float(sigma[0, 2]), placed_as(rig, state))
 
@@ -281,22 +272,13 @@ def _adjust(
     settings, intrinsics = config.intrinsics, found.change.shape[1]
     budget = config.uncertainty.points if already_close else None
     problem = choose_problem(found.sample, found.rig, found.matches, config, points=budget)
-    seen = problem.pixels(given)
     prior = np.array([settings.focal_uncertainty, settings.k1_uncertainty])[:intrinsics]
     # detections weigh as if they erred independently: the prior weighs more by the same factor
     prior = prior / np.sqrt(found.overconfidence)
     free = free_parameters(shared_intrinsics(given, settings), prior)
-    start = problem.start(found.change)
-    state = solve(
-        start,
-        seen,
-        free,
-        config.adjust,
-        last=problem.loss_scale,
-        already_close=already_close,
+    state, covariance = _minimum(
+        problem, found.change, given, free, config, already_close=already_close
     )
-    state = optimise_points(state, seen, loss_scale=problem.loss_scale)
-    covariance = find_covariance(problem, state, seen, free, config)
     estimate = replace(
         found,
         change=state.intrinsics,
@@ -304,6 +286,26 @@ def _adjust(
         overconfidence=_overconfidence(covariance, free),
     )
     return estimate, state
+
+
+def _minimum(
+    problem: Problem,
+    change: Floats,
+    cameras: tuple[Camera, ...],
+    free: Parameters,
+    config: Config,
+    *,
+    already_close: bool,
+) -> tuple[State, Covariance]:
+    """Return the state of least cost, and the covariance of what is free there.
+
+    change: `[view, intrinsic]` of the intrinsics of the cameras, from which it starts.
+    """
+    seen, last = problem.pixels(cameras), problem.loss_scale
+    start = problem.start(change)
+    state = solve(start, seen, free, config.adjust, last=last, already_close=already_close)
+    state = optimise_points(state, seen, loss_scale=last)
+    return state, find_covariance(problem, state, seen, free, config)
 
 
 def _overconfidence(covariance: Covariance, free: Parameters) -> Floats:
