@@ -25,7 +25,7 @@ from mocap_calib.rig.averaging import average
 from mocap_calib.rig.triangulate import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.rig.view_graph import camera_groups, takes_all_pairs
 from mocap_calib.types import Camera, CameraRig, Floats, Sample, silent
-from mocap_calib.verdict.checks import residuals_of
+from mocap_calib.verdict.checks import errors, look_at
 
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
 _LOW_SCORE = 0.8  # of a camera's pairs, as a share of that of the other pairs
@@ -138,9 +138,7 @@ def differs(held: Held, keypoints: tuple[str, ...], settings: Config) -> bool:
 
 def worst_camera(group: GroupResult, config: Config) -> int | None:
     """Return the view whose errors are several times those of the others, None = there is none."""
-    gap = residuals_of(group).distance.reshape(len(group.rig), -1)
-    error = np.array([np.nanmedian(each) if np.isfinite(each).any() else np.nan for each in gap])
-    error /= [camera.focal for camera in group.rig.cameras]
+    error = errors(look_at(group, config))
     worst = int(np.argmax(np.nan_to_num(error)))
     usual = np.nanmedian(np.delete(error, worst)) if np.isfinite(error).sum() > 1 else np.nan
     return worst if error[worst] > config.uncertainty.outlier_factor * usual else None

@@ -170,10 +170,15 @@ def describe_checks() -> dict[str, dict[str, object]]:
     return {kind.name: {"text": kind.text, "sound": sound} for kind in CHECKS}
 
 
+def look_at(group: GroupResult, config: Config) -> Look:
+    """Return a group with the residuals of its points."""
+    focal = np.array([camera.focal for camera in group.rig.cameras])[:, None, None, None, None]
+    return Look(group, np.rad2deg(residuals_of(group).gap / focal), config)
+
+
 def check_rig(group: GroupResult, config: Config) -> tuple[Cause, ...]:
     """Return all checks of the rig of a group."""
-    focal = np.array([camera.focal for camera in group.rig.cameras])[:, None, None, None, None]
-    look = Look(group, np.rad2deg(residuals_of(group).gap / focal), config)
+    look = look_at(group, config)
     return tuple(kind.check(look) for kind in CHECKS)
 
 
