@@ -74,10 +74,13 @@ def estimate_clocks(
     unknown = tuple(map(CameraClock, recording.names))
     if config.sync.mode == "off":
         return unknown
+    clocks = unknown
     try:
-        for window in (config.sync.window, _FAR * config.sync.window):
-            sync = replace(config.sync, window=window)
+        for factor in (1, _FAR):
+            sync = replace(config.sync, window=factor * config.sync.window)
             stretches = choose_stretches(recording, sync)
+            if factor > 1 and stretches.shape[1] // 3 <= config.sync.window:
+                break  # too short to look any further
             lifted = lift_sample(take_sample(recording, stretches[stretches >= 0]))
             clocks = find_clocks(recording, lifted, stretches, rotations, sync, seed=seed)
             if all(clock.kind != "not known" for clock in clocks):

@@ -400,8 +400,7 @@ def describe_clock(
     enough = found["gain"] >= DECISIVE_NATS + max(0, len(table) - 2)
     if not (enough and (sure or not constant) and within):
         return CameraClock(camera, "not known", evidence=found)
-    kind: ClockKind = "clock" if constant else "dropped"
-    kind = kind if rate == 1.0 else "rate"
+    kind: ClockKind = "rate" if rate != 1.0 else "clock" if constant else "dropped"
     return CameraClock(camera, kind, table[0][1], rate, table, found)
 
 
