@@ -14,6 +14,7 @@ from mocap_calib.recording.corrections import Flipped
 from mocap_calib.recording.joints import SHIPPED, load_skeleton
 from mocap_calib.results import Fault, GroupResult
 from mocap_calib.types import Recording
+from mocap_calib.verdict.checks import report_frames
 
 
 def find_upward_axes(group: GroupResult) -> list[Alternative]:
@@ -21,7 +22,8 @@ def find_upward_axes(group: GroupResult) -> list[Alternative]:
 
     Where cameras do, bodies are in the mirror once their y axes are reversed.
     """
-    if not _all_upside_down(group.recording):
+    recording = group.recording
+    if not _all_upside_down(recording.select(frames=report_frames(recording))):
         return []
     nats = max(0.0, group.uncertainty.mirrored)
     mends = map(Flipped, group.rig.names)
@@ -36,6 +38,9 @@ def _all_upside_down(recording: Recording) -> bool:
     if recording.model not in SHIPPED:
         return False
     legs = define(recording.keypoints, load_skeleton(recording.model)).legs
+    if not legs:
+        return False
     height = recording.positions[..., 1]
-    down = [height[..., chain[-1]] - height[..., chain[0]] for chain in legs]
-    return bool(legs) and bool((np.nanmedian(down, axis=(0, 2, 3)) < 0).all())
+    along = np.array([height[..., chain[-1]] - height[..., chain[0]] for chain in legs])
+    upwards, downwards = ((side * along > 0).sum((0, 2, 3)) for side in (-1, 1))
+    return bool((upwards > downwards).all())
