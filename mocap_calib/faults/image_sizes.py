@@ -24,24 +24,24 @@ from mocap_calib.results import CalibrationResult, Fault, Mend
 from mocap_calib.rig import Observed
 from mocap_calib.types import Camera, CameraClock, CameraRig, Recording, Sample
 
-Calibrated = tuple[Observed, CalibrationResult]
-
 _SAME_PIXEL = 0.5  # of principal points that are as good as equal
 _FRAMES = 100  # of a recording, in which a rig is held against its images
 _KEPT = 16  # likeliest turns of some cameras, to which those of the next are added
 
 
-def alternative_images(recording: Recording, calibrated: Calibrated) -> list[Recording]:
+def alternative_images(
+    recording: Recording, observed: Observed, result: CalibrationResult
+) -> list[Recording]:
     """Return the recording with what the sizes of its images leave open in other ways.
 
     With other quarter turns, of all cameras and of those that prefer it; and with corners of parts
     of images as the other cameras have them.
 
-    recording: as corrected by sizes. calibrated: what was found of it.
+    recording: as corrected by sizes. observed: what was known before the rigs of it were built.
+    result: what was found with it.
     """
     if not recording.corrected:
         return []
-    observed, result = calibrated
     held = {
         each.camera.name: each
         for group in result.groups

@@ -126,7 +126,7 @@ def _choose_images(
     recording: Recording, calibrated: Calibrated, calibrate: Calibrate
 ) -> tuple[Recording, Calibrated]:
     """Return the recording, and what is found of it, with the images that explain most."""
-    for over in alternative_images(recording, calibrated):
+    for over in alternative_images(recording, *calibrated):
         try:
             other = calibrate(over)
         except DegenerateError:
@@ -173,12 +173,12 @@ def find_rivals(tried: Sequence[Correction]) -> set[str]:
     cameras are wrong, the second still looks odd beside the first one corrected.
     """
     own = {fault.camera for fault in tried[0].faults}
-    others = (
-        ({fault.camera for fault in each.faults}, each.evidence)
+    evident = [
+        {fault.camera for fault in each.faults}
         for each in tried
         if each.evidence > tried[0].evidence - DECISIVE_NATS
-    )
-    return set().union(*(cameras for cameras, _ in others if own.isdisjoint(cameras)))
+    ]
+    return set().union(*(cameras for cameras in evident if own.isdisjoint(cameras)))
 
 
 def _try_correction(
